@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""What enters the encoder: frames, and what is known about a whole sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import CameraRig
+from threedvc.errors import ConfigError
+from threedvc.pose import Pose
+
+__all__ = ["NANOSECONDS", "Frame", "FrameSequence", "SequenceInfo"]
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """One RGB-D frame.
+
+    Attributes
+    ----------
+    index
+        Position in the encoded sequence, from 0.
+    timestamp_ns
+        Time of the depth picture, nanoseconds.
+    color
+        (height, width, 3) uint8 RGB in the colour camera; grey input has three equal channels.
+    depth
+        (height, width) float32 metres along z in the depth camera; 0 = no measurement.
+    mask
+        (height, width) uint8 object labels in the depth camera, 0 = background, or None.
+    T_world_camera
+        Known pose of the depth camera, or None.
+    T_camera_object
+        Known poses of labelled objects, by label.
+    color_timestamp_ns
+        Time of the colour picture where it has a clock of its own, else None.
+    """
+
+    index: int
+    timestamp_ns: int
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    mask: NDArray[np.uint8] | None = None
+    T_world_camera: Pose | None = None
+    T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
+    color_timestamp_ns: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SequenceInfo:
+    """What holds for every frame of a sequence.
+
+    Attributes
+    ----------
+    name
+        Name for messages and reports.
+    rig
+        Cameras.
+    depth_scale
+        Units per metre of the 16-bit depth pictures; decoded depth is written at this scale.
+    fps
+        Nominal frame rate.
+    frame_count
+        Number of frames, or None for a live source.
+    grey
+        Whether the colour pictures have one channel.
+    has_camera_poses, has_object_poses, has_masks
+        What the frames carry.
+    """
+
+    name: str
+    rig: CameraRig
+    depth_scale: float
+    fps: float
+    frame_count: int | None
+    grey: bool = False
+    has_camera_poses: bool = False
+    has_object_poses: bool = False
+    has_masks: bool = False
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.depth_scale) and self.depth_scale > 0):
+            raise ConfigError(f"depth scale {self.depth_scale} must be a positive number of units per metre")
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise ConfigError(f"frame rate {self.fps} must be a positive number of frames per second")
+
+
+class FrameSequence(Protocol):
+    """A source of frames; it can be read more than once."""
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What holds for every frame."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int) -> Frame: ...
+
+    def __iter__(self) -> Iterator[Frame]: ...

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""Compiled loops: pure functions on arrays, one file per stage.
+
+`kernel` holds every JIT option of the project. No kernel uses ``fastmath`` or Numba's own threads:
+kernels release the GIL and `threedvc.parallel` runs them over disjoint ranges, so results do not
+depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+__all__ = ["kernel"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@cache
+def cache_directory() -> str | None:
+    """Return a writable folder for compiled code, keyed by a hash of all kernel sources.
+
+    Numba notices a change in a kernel's own file only, not in a helper file that it calls; a new
+    folder for each state of the sources can never serve stale code. None: nowhere to write.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.path.join(
+        os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache"), "threedvc"
+    )
+    folder = os.path.join(base, f"kernels-{digest.hexdigest()[:16]}")
+    try:
+        os.makedirs(folder, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError:
+        return None
+
+
+def kernel(function: F) -> F:
+    """Compile a loop lazily, with a disk cache where one can be written."""
+    folder = cache_directory()
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = folder or before
+    try:
+        compiled = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", fastmath=False)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return cast(F, compiled)

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: MIT
+"""A model update: what changes in the decoded state of one object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["ModelUpdate"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelUpdate:
+    """Cells that appear, vanish or change colour.
+
+    Attributes
+    ----------
+    added, removed, recolored
+        (n, 3) int32 cell coordinates, disjoint sets, each in Morton order (x lowest bit).
+        `added` cells are not occupied in the state before, the others are.
+    added_colors, recolored_colors
+        (n, 3) int16 RGB of the rows of `added` and `recolored`; values a little beyond 0..255 are
+        allowed and clamped when drawn.
+    """
+
+    added: NDArray[np.int32]
+    added_colors: NDArray[np.int16]
+    removed: NDArray[np.int32]
+    recolored: NDArray[np.int32]
+    recolored_colors: NDArray[np.int16]
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing changes."""
+        return not (len(self.added) or len(self.removed) or len(self.recolored))

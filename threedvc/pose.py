@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: MIT
+"""Rigid transforms as (4, 4) float64 arrays.
+
+Names read as products: ``p_camera = T_camera_object @ p_object``. Quaternions are ``(x, y, z, w)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Pose",
+    "identity",
+    "inverse",
+    "is_rigid",
+    "make_pose",
+    "orthonormalised",
+    "quaternion",
+    "rotation_angle",
+    "rotation_from_quaternion",
+    "rotation_from_vector",
+    "rotation_vector",
+]
+
+Pose = NDArray[np.float64]
+
+
+def identity() -> Pose:
+    """Return the transform that moves nothing."""
+    return np.eye(4)
+
+
+def make_pose(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Pose:
+    """Build a transform from a (3, 3) rotation and a (3,) translation in metres."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = translation
+    return pose
+
+
+def inverse(pose: Pose) -> Pose:
+    """Invert a rigid transform: ``inverse(T_a_b)`` is ``T_b_a``."""
+    rotation = pose[:3, :3].T
+    return make_pose(rotation, -rotation @ pose[:3, 3])
+
+
+def is_rigid(pose: Pose, tolerance: float = 1e-3) -> bool:
+    """Tell whether a (4, 4) array is finite, orthonormal and right-handed within `tolerance`."""
+    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
+        return False
+    rotation = pose[:3, :3]
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=tolerance)
+    return bool(orthonormal and np.linalg.det(rotation) > 0 and np.allclose(pose[3], [0, 0, 0, 1], atol=tolerance))
+
+
+def orthonormalised(pose: Pose) -> Pose:
+    """Return the rigid transform nearest to a nearly rigid one."""
+    u, _, vt = np.linalg.svd(pose[:3, :3])
+    return make_pose(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, pose[:3, 3])
+
+
+def rotation_from_quaternion(xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn a quaternion (4,) of any non-zero length into a (3, 3) rotation."""
+    x, y, z, w = np.asarray(xyzw, dtype=np.float64) / np.linalg.norm(xyzw)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn a (3, 3) rotation into a unit quaternion (4,) with w >= 0."""
+    m = rotation
+    squares = np.array(
+        [
+            1 + m[0, 0] - m[1, 1] - m[2, 2],
+            1 - m[0, 0] + m[1, 1] - m[2, 2],
+            1 - m[0, 0] - m[1, 1] + m[2, 2],
+            1 + m[0, 0] + m[1, 1] + m[2, 2],
+        ]
+    )
+    largest = int(np.argmax(squares))
+    products = [
+        [squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
+        [m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
+        [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
+    ]
+    xyzw = np.array(products[largest]) / np.linalg.norm(products[largest])
+    return xyzw if xyzw[3] >= 0 else -xyzw
+
+
+def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn a rotation vector (3,), axis times angle in radians, into a (3, 3) rotation (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    k = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
+    if angle < 1e-8:
+        return np.eye(3) + k + 0.5 * k @ k
+    return np.eye(3) + np.sin(angle) / angle * k + (1 - np.cos(angle)) / angle**2 * k @ k
+
+
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn a (3, 3) rotation into its rotation vector (3,) in radians; inverse of `rotation_from_vector`."""
+    xyzw = quaternion(rotation)
+    sine = float(np.linalg.norm(xyzw[:3]))
+    if sine < 1e-12:
+        return 2 * xyzw[:3]
+    return xyzw[:3] * (2 * np.arctan2(sine, xyzw[3]) / sine)
+
+
+def rotation_angle(pose: Pose) -> float:
+    """Return the angle by which a transform turns, in radians."""
+    return float(np.linalg.norm(rotation_vector(pose[:3, :3])))
