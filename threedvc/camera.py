@@ -53,7 +53,7 @@ class Camera:
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(values)) or self.fx <= 0 or self.fy <= 0:
             raise ConfigError(
-                f"intrinsics fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy} must be finite with positive focal lengths"
+                f"intrinsics fx={self.fx} fy={self.fy} cx={self.cx} cy={self.cy} must be finite, focal lengths positive"
             )
         if len(self.distortion) != 5:
             raise ConfigError(f"distortion needs 5 coefficients k1 k2 p1 p2 k3, got {len(self.distortion)}")
@@ -112,7 +112,9 @@ class Camera:
             x, y = (xd - dx) / radial, (yd - dy) / radial
         return np.stack([x, y], axis=-1)
 
-    def _distort(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _distort(
+        self, x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if not self.distorted:
             return x, y
         k1, k2, p1, p2, k3 = self.distortion

@@ -12,7 +12,8 @@
     │   └── LimitExceeded        a length or count is beyond what a reader accepts
     ├── SequenceError            input frames are missing, unreadable or implausible
     ├── RegistrationFailed       a depth map does not fit the model
-    └── ConfigError              an option has an impossible value
+    ├── ConfigError              an option has an impossible value
+    └── OutputError              an output cannot be written
 
 Messages are one line: the file, the offending value, and what to do.
 """
@@ -25,6 +26,7 @@ __all__ = [
     "CorruptStream",
     "FormatError",
     "LimitExceeded",
+    "OutputError",
     "RegistrationFailed",
     "SequenceError",
     "ThreedvcError",
@@ -71,3 +73,7 @@ class RegistrationFailed(ThreedvcError):
 
 class ConfigError(ThreedvcError):
     """An option has an impossible value."""
+
+
+class OutputError(ThreedvcError):
+    """An output file or stream cannot be written."""

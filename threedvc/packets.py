@@ -8,23 +8,57 @@ Every header is declared once, as a frozen dataclass whose fields name their key
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from enum import IntEnum
-from typing import Any, ClassVar, Self, TypeVar
+from collections.abc import Iterator, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from enum import IntEnum, IntFlag
+from typing import Any, ClassVar, Self
 
-from threedvc.errors import CorruptStream
+from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
+from threedvc.header_kinds import Kind, blob, camera, extrinsic, flag, integer, key, names, number, text
+from threedvc.limits import (
+    MAX_BATCH_PACKETS,
+    MAX_COUNT,
+    MAX_FRAME,
+    MAX_HEADER_BYTES,
+    MAX_OBJECT_ID,
+    MAX_PAYLOAD_BYTES,
+)
+from threedvc.wire import ByteReader, pack_map, pack_varint, unpack_map
 
 __all__ = [
+    "DIGEST_BYTES",
+    "FEATURES",
+    "READER_VERSION",
+    "RESERVED_TYPES",
+    "TOP_LEVEL_TYPES",
     "BatchHeader",
     "ClockHeader",
     "EndHeader",
+    "Header",
     "ModelHeader",
     "ObjectHeader",
     "Packet",
+    "PacketFlag",
     "PacketType",
     "PoseHeader",
+    "SnapshotHeader",
     "StreamHeader",
+    "check_supported",
+    "is_understood",
+    "pack_batch",
+    "split_batch",
+    "type_name",
+    "unpack_batch",
 ]
+
+READER_VERSION = 1
+"""Version of the meaning of packets; a stream names the lowest that its reader must have."""
+
+FEATURES: frozenset[str] = frozenset()
+"""Optional features that this reader has; a stream may require some by name."""
+
+DIGEST_BYTES = 16
+"""Bytes of the digest of the decoded models."""
 
 
 class PacketType(IntEnum):
@@ -43,6 +77,25 @@ class PacketType(IntEnum):
     BATCH = 11
     INDEX = 12
     END = 13
+
+
+RESERVED_TYPES = frozenset({PacketType.GAIN, PacketType.SNAPSHOT, PacketType.RESIDUAL})
+"""Types whose payload has no coding yet: to this reader they are unknown."""
+
+TOP_LEVEL_TYPES = frozenset(
+    {PacketType.STREAM, PacketType.SNAPSHOT, PacketType.BATCH, PacketType.INDEX, PacketType.END}
+)
+"""Types that do not stand in a BATCH."""
+
+
+_KNOWN_NUMBERS = frozenset(int(member) for member in PacketType)
+
+
+class PacketFlag(IntFlag):
+    """Flags of a packet, as stored."""
+
+    CRITICAL = 1
+    RANDOM_ACCESS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,24 +122,56 @@ class Packet:
     critical: bool = True
     random_access: bool = False
 
-
-H = TypeVar("H", bound="Header")
-
-
-def key(name: str, **options: Any) -> Any:
-    """Declare a header field and its key in the stream."""
-    return field(metadata={"key": name}, **options)
+    @property
+    def flags(self) -> PacketFlag:
+        """The flags as stored."""
+        return PacketFlag(PacketFlag.CRITICAL * self.critical | PacketFlag.RANDOM_ACCESS * self.random_access)
 
 
+def type_name(number: int) -> str:
+    """Return the name of a packet type, for messages and reports."""
+    return PacketType(number).name if number in _KNOWN_NUMBERS else f"type 0x{number:02x}"
+
+
+def is_understood(type_number: int, critical: bool) -> bool:
+    """Tell whether this reader knows a type of packets; one that it does not know is passed over.
+
+    Raises
+    ------
+    UnsupportedVersion
+        If the type is unknown and critical.
+    """
+    known = type_number in _KNOWN_NUMBERS and type_number not in RESERVED_TYPES
+    if critical and not known:
+        raise UnsupportedVersion(
+            f"a packet of {type_name(type_number)} is needed to decode and unknown to this version; use a newer 3dvc"
+        )
+    return known
+
+
+@dataclass(frozen=True, kw_only=True)
 class Header:
-    """Base of the header dataclasses: the one place that turns them into maps and back."""
+    """Base of the header dataclasses: the one place that checks them and turns them into maps and back."""
 
     packet_type: ClassVar[PacketType]
 
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            kind: Kind = item.metadata["kind"]
+            try:
+                # The dataclass is frozen; this is the one place where a field takes its stored type.
+                object.__setattr__(self, item.name, kind.read(value))
+            except (ValueError, OverflowError):
+                raise ValueError(
+                    f"{self.packet_type.name} header: {item.metadata['key']!r} ({item.name}) = {value!r:.100}"
+                    f" is not {kind.description}"
+                ) from None
+
     def to_map(self) -> dict[str, Any]:
-        """Return the map that goes into the stream; None and default values are left out."""
+        """Return the map that goes into the stream; default values are left out."""
         values = {}
-        for item in fields(self):  # type: ignore[arg-type]
+        for item in fields(self):
             value = getattr(self, item.name)
             if value != item.default:
                 values[item.metadata["key"]] = list(value) if isinstance(value, tuple) else value
@@ -99,22 +184,29 @@ class Header:
         Raises
         ------
         CorruptStream
-            If a required key is missing or a value is of the wrong kind.
+            If a required key is missing or a value is not of its kind.
         """
         arguments = {}
-        for item in fields(cls):  # type: ignore[arg-type]
+        for item in fields(cls):
             name = item.metadata["key"]
             if name in values:
-                value = values[name]
-                arguments[item.name] = tuple(value) if isinstance(value, list) else value
+                arguments[item.name] = values[name]
+            elif item.default is MISSING:
+                raise CorruptStream(f"{cls.packet_type.name} header: {name!r} ({item.name}) is missing")
         try:
             return cls(**arguments)
-        except (TypeError, ValueError) as error:
-            raise CorruptStream(f"{cls.__name__} {values!r:.200} is not valid: {error}") from None
+        except ValueError as error:
+            raise CorruptStream(str(error)) from None
 
-    def packet(self, payload: bytes = b"", **flags: bool) -> Packet:
+    def packet(self, payload: bytes = b"", *, critical: bool = True, random_access: bool = False) -> Packet:
         """Wrap the header and a payload into a packet."""
-        return Packet(type=self.packet_type, header=self.to_map(), payload=payload, **flags)
+        return Packet(
+            type=self.packet_type,
+            header=self.to_map(),
+            payload=payload,
+            critical=critical,
+            random_access=random_access,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,20 +240,20 @@ class StreamHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.STREAM
 
-    min_reader: int = key("v", default=1)
-    required: tuple[str, ...] = key("req", default=())
-    color_camera: tuple[float, ...] = key("cc")
-    depth_camera: tuple[float, ...] = key("dc", default=())
-    T_color_depth: tuple[float, ...] = key("tcd", default=())
-    depth_scale: float = key("ds")
-    start_ns: int = key("t0", default=0)
-    period_num: int = key("pn")
-    period_den: int = key("pd", default=1)
-    translation_step_m: float = key("qt")
-    rotation_step_rad: float = key("qr")
-    grey: bool = key("g", default=False)
-    given_world: bool = key("w", default=False)
-    name: str = key("n", default="")
+    min_reader: int = key("v", integer(1, 255), default=1)
+    required: tuple[str, ...] = key("req", names(16, 64), default=())
+    color_camera: tuple[float, ...] = key("cc", camera())
+    depth_camera: tuple[float, ...] = key("dc", camera(optional=True), default=())
+    T_color_depth: tuple[float, ...] = key("tcd", extrinsic(), default=())
+    depth_scale: float = key("ds", number(1e-6, 1e9))
+    start_ns: int = key("t0", integer(-(1 << 63), (1 << 63) - 1), default=0)
+    period_num: int = key("pn", integer(1, 10**15))
+    period_den: int = key("pd", integer(1, 10**9), default=1)
+    translation_step_m: float = key("qt", number(1e-7, 1.0))
+    rotation_step_rad: float = key("qr", number(1e-7, 1.0))
+    grey: bool = key("g", flag(), default=False)
+    given_world: bool = key("w", flag(), default=False)
+    name: str = key("n", text(255), default="")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +270,8 @@ class ObjectHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.OBJECT
 
-    object_id: int = key("o")
-    voxel_size_m: float = key("h")
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID))
+    voxel_size_m: float = key("h", number(1e-6, 1e3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,8 +280,8 @@ class ModelHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.MODEL
 
-    object_id: int = key("o", default=0)
-    frame: int = key("f")
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
+    frame: int = key("f", integer(0, MAX_FRAME))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,9 +293,9 @@ class PoseHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.POSE
 
-    object_id: int = key("o", default=0)
-    frame: int = key("f")
-    count: int = key("n", default=1)
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
+    frame: int = key("f", integer(0, MAX_FRAME))
+    count: int = key("n", integer(1, MAX_COUNT), default=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,8 +304,18 @@ class ClockHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.CLOCK
 
-    frame: int = key("f")
-    count: int = key("n", default=1)
+    frame: int = key("f", integer(0, MAX_FRAME))
+    count: int = key("n", integer(1, MAX_COUNT), default=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SnapshotHeader(Header):
+    """The whole decoded state before `frame` is drawn, and its digest: decoding can start here."""
+
+    packet_type: ClassVar[PacketType] = PacketType.SNAPSHOT
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+    digest: bytes = key("d", blob(DIGEST_BYTES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,8 +324,13 @@ class BatchHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.BATCH
 
-    frame: int = key("f")
-    count: int = key("n")
+    frame: int = key("f", integer(0, MAX_FRAME))
+    count: int = key("n", integer(1, MAX_COUNT))
+
+    @property
+    def stop(self) -> int:
+        """The frame after the last one."""
+        return self.frame + self.count
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,5 +339,105 @@ class EndHeader(Header):
 
     packet_type: ClassVar[PacketType] = PacketType.END
 
-    frames: int = key("n")
-    digest: bytes = key("d")
+    frames: int = key("n", integer(0, MAX_FRAME))
+    digest: bytes = key("d", blob(DIGEST_BYTES))
+
+
+def check_supported(header: StreamHeader) -> None:
+    """Refuse a stream whose packets mean something that this reader does not know.
+
+    Raises
+    ------
+    UnsupportedVersion
+        If the stream asks for a newer reader or for a feature that this one lacks.
+    """
+    if header.min_reader > READER_VERSION:
+        raise UnsupportedVersion(
+            f"the stream needs reader version {header.min_reader}, this one is {READER_VERSION}; use a newer 3dvc"
+        )
+    missing = [feature for feature in header.required if feature not in FEATURES]
+    if missing:
+        raise UnsupportedVersion(f"the stream needs the features {', '.join(missing)}; use a newer 3dvc")
+
+
+def pack_batch(header: BatchHeader, packets: Sequence[Packet]) -> Packet:
+    """Join packets into one BATCH, whose framing takes 4 to 8 bytes for each instead of 28.
+
+    Raises
+    ------
+    ValueError
+        If a packet is of a type that stands at top level only.
+    LimitExceeded
+        If there are too many packets or bytes for one BATCH.
+    """
+    if len(packets) > MAX_BATCH_PACKETS:
+        raise LimitExceeded(f"{len(packets)} packets are more than the {MAX_BATCH_PACKETS} that fit into one BATCH")
+    payload = b"".join(_pack_member(packet) for packet in packets)
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise LimitExceeded(
+            f"a BATCH of {len(payload)} bytes is larger than {MAX_PAYLOAD_BYTES}; put fewer frames into one"
+        )
+    return header.packet(payload)
+
+
+def split_batch(packet: Packet) -> Iterator[tuple[Packet, int]]:
+    """Yield every packet in a BATCH, of unknown types too, with the number of bytes it takes there.
+
+    Raises
+    ------
+    CorruptStream
+        If the payload is not a sequence of packets.
+    LimitExceeded
+        If there are more than `MAX_BATCH_PACKETS`, or a header is too long.
+    """
+    reader = ByteReader(packet.payload)
+    for _ in range(MAX_BATCH_PACKETS):
+        if not reader.remaining:
+            return
+        start = reader.position
+        member = _unpack_member(reader)
+        yield member, reader.position - start
+    if reader.remaining:
+        raise LimitExceeded(f"a BATCH holds more than {MAX_BATCH_PACKETS} packets")
+
+
+def unpack_batch(packet: Packet) -> list[Packet]:
+    """Return the packets in a BATCH; those unknown to this reader are passed over.
+
+    Raises
+    ------
+    CorruptStream
+        If the payload is not a sequence of packets.
+    LimitExceeded
+        If there are more than `MAX_BATCH_PACKETS`, or a header is too long.
+    UnsupportedVersion
+        If a packet is critical and of an unknown type.
+    """
+    return [member for member, _ in split_batch(packet) if is_understood(member.type, member.critical)]
+
+
+def _pack_member(packet: Packet) -> bytes:
+    if packet.type in TOP_LEVEL_TYPES:
+        raise ValueError(f"{type_name(packet.type)} cannot stand in a BATCH")
+    header = pack_map(packet.header)
+    parts = [bytes([packet.type, packet.flags]), pack_varint(len(header)), header]
+    return b"".join([*parts, pack_varint(len(packet.payload)), packet.payload])
+
+
+def _unpack_member(reader: ByteReader) -> Packet:
+    number, flags = reader.take(2)
+    if number in TOP_LEVEL_TYPES:
+        raise CorruptStream(f"{type_name(number)} stands in a BATCH")
+    if flags > PacketFlag.CRITICAL | PacketFlag.RANDOM_ACCESS:
+        raise CorruptStream(f"{type_name(number)} in a BATCH has impossible flags 0x{flags:02x}")
+    size = reader.varint()
+    if size > MAX_HEADER_BYTES:
+        raise LimitExceeded(f"a header of {size} bytes is longer than the {MAX_HEADER_BYTES} that a reader accepts")
+    header = unpack_map(reader.take(size))
+    return Packet(
+        type=number,
+        header=header,
+        payload=reader.take(reader.varint()),
+        critical=bool(flags & PacketFlag.CRITICAL),
+        random_access=bool(flags & PacketFlag.RANDOM_ACCESS),
+    )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Pose",
+    "compose",
     "identity",
     "inverse",
     "is_rigid",
@@ -39,10 +40,20 @@ def make_pose(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -
     return pose
 
 
+def compose(first: Pose, second: Pose) -> Pose:
+    """Multiply transforms, ``T_a_c = compose(T_a_b, T_b_c)``, to the same bits on every machine.
+
+    A matrix product of a linear algebra library may contract multiplications and additions; this one
+    does not.
+    """
+    a, b = first, second
+    return a[:, 0:1] * b[0] + a[:, 1:2] * b[1] + a[:, 2:3] * b[2] + a[:, 3:4] * b[3]
+
+
 def inverse(pose: Pose) -> Pose:
-    """Invert a rigid transform: ``inverse(T_a_b)`` is ``T_b_a``."""
-    rotation = pose[:3, :3].T
-    return make_pose(rotation, -rotation @ pose[:3, 3])
+    """Invert a rigid transform: ``inverse(T_a_b)`` is ``T_b_a``; to the same bits on every machine."""
+    rotation, t = pose[:3, :3].T, pose[:3, 3]
+    return make_pose(rotation, -(rotation[:, 0] * t[0] + rotation[:, 1] * t[1] + rotation[:, 2] * t[2]))
 
 
 def is_rigid(pose: Pose, tolerance: float = 1e-3) -> bool:
@@ -90,7 +101,7 @@ def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]],
         [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
     ]
-    xyzw = np.array(products[largest]) / np.linalg.norm(products[largest])
+    xyzw: NDArray[np.float64] = np.array(products[largest]) / np.linalg.norm(products[largest])
     return xyzw if xyzw[3] >= 0 else -xyzw
 
 
@@ -98,18 +109,17 @@ def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn a rotation vector (3,), axis times angle in radians, into a (3, 3) rotation (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     k = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
-    if angle < 1e-8:
-        return np.eye(3) + k + 0.5 * k @ k
-    return np.eye(3) + np.sin(angle) / angle * k + (1 - np.cos(angle)) / angle**2 * k @ k
+    sine, versine = (1.0, 0.5) if angle < 1e-8 else (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2)
+    rotation: NDArray[np.float64] = np.eye(3) + sine * k + versine * k @ k
+    return rotation
 
 
 def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn a (3, 3) rotation into its rotation vector (3,) in radians; inverse of `rotation_from_vector`."""
     xyzw = quaternion(rotation)
     sine = float(np.linalg.norm(xyzw[:3]))
-    if sine < 1e-12:
-        return 2 * xyzw[:3]
-    return xyzw[:3] * (2 * np.arctan2(sine, xyzw[3]) / sine)
+    scale = 2.0 if sine < 1e-12 else 2 * float(np.arctan2(sine, xyzw[3])) / sine
+    return xyzw[:3] * scale
 
 
 def rotation_angle(pose: Pose) -> float:

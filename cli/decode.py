@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""`3dvc decode`: a stream into a folder of frames that `3dvc encode` can read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from threedvc.cli.options import (
+    decoded_outputs,
+    frame_span,
+    object_numbers,
+    picture_size,
+    stream_argument,
+    threads_option,
+)
+from threedvc.cli.progress import Progress
+from threedvc.errors import TruncatedStream
+
+if TYPE_CHECKING:
+    from threedvc.pose import Pose
+
+__all__ = ["decode"]
+
+
+@click.command(short_help="Decode a stream into a folder of frames.")
+@stream_argument
+@click.argument("folder", metavar="OUTDIR", type=click.Path(path_type=Path))
+@click.option("--frames", type=frame_span, metavar="A:B", help="Decode frames A to B-1.")
+@click.option("--what", type=decoded_outputs, metavar="LIST", default="color,depth,labels", show_default=True,
+              help="Pictures to write.")  # fmt: skip
+@click.option("--size", type=picture_size, metavar="WxH", help="Size of the pictures.  [default: as encoded]")
+@click.option("--objects", type=object_numbers, metavar="LIST", help="Draw only these objects, such as 0,2.")
+@click.option("--camera-path", type=click.Path(path_type=Path), metavar="FILE",
+              help="Draw from these viewpoints: lines as in poses.txt.")  # fmt: skip
+@threads_option
+def decode(
+    source: Path,
+    folder: Path,
+    frames: tuple[int, int | None] | None,
+    what: frozenset[str],
+    size: tuple[int, int] | None,
+    objects: tuple[int, ...] | None,
+    camera_path: Path | None,
+    threads: int | None,
+) -> None:
+    """Decode INPUT.3dvc (- is standard input) into color/, depth/ and masks/ with the cameras and poses in OUTDIR.
+
+    A stream that ends too early is decoded as far as it goes; the exit code is then 1.
+    """
+    from threedvc.config import RenderConfig
+    from threedvc.formats.api import open_stream
+    from threedvc.formats.sinks.plain import PlainSink
+    from threedvc.parallel import default_threads
+
+    stream = open_stream(
+        source,
+        frames=frames,
+        what=what,
+        size=size,
+        objects=objects,
+        camera_path=None if camera_path is None else _camera_path(camera_path),
+        render=RenderConfig(threads=threads or default_threads()),
+    )
+    with Progress("decode", stream.info.frame_count) as progress, PlainSink(folder, stream.info, what=what) as sink:
+        try:
+            for frame in stream:
+                sink.write(
+                    frame.index,
+                    frame.timestamp_ns,
+                    color=frame.color,
+                    depth=frame.depth,
+                    labels=frame.labels,
+                    T_world_camera=frame.T_world_camera,
+                    T_camera_object=frame.T_camera_object,
+                )
+                progress.advance(progress.frames + 1)
+        except TruncatedStream as error:
+            raise TruncatedStream(f"{error}; {progress.frames} frames were decoded into {folder}") from None
+        progress.summary(f"{folder}: {progress.frames} frames, {progress.frames_per_second:.1f} frames/s")
+
+
+def _camera_path(path: Path) -> list[Pose]:
+    from threedvc.formats.sources.poses import pose_from_row
+    from threedvc.formats.sources.text import read_rows
+
+    return [pose_from_row(row) for row in read_rows(path)]

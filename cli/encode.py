@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""`3dvc encode`: a folder of RGB-D frames into a stream."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from threedvc.cli.options import (
+    frame_range,
+    json_option,
+    length,
+    positive_number,
+    segmentation,
+    threads_option,
+)
+from threedvc.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from threedvc.config import EncoderConfig
+    from threedvc.formats.api import EncodeReport
+    from threedvc.frame import FrameSequence
+
+__all__ = ["encode"]
+
+STANDARD_OUTPUT = Path("-")
+# Written out here because the module that lists them loads OpenCV, which --help must not wait for.
+LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare")
+SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
+
+
+@click.command(short_help="Encode a folder of RGB-D frames.")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUTPUT.3dvc", type=click.Path(path_type=Path, allow_dash=True))
+@click.option("--layout", type=click.Choice(LAYOUTS), default="auto", show_default=True, help="Layout of INPUT.")
+@click.option("--color", metavar="DIR", help="Folder of colour pictures.")
+@click.option("--depth", metavar="DIR", help="Folder of 16-bit depth pictures.")
+@click.option("--intrinsics", metavar="FILE|FX,FY,CX,CY", help="Cameras: an intrinsics.json, or four numbers.")
+@click.option("--depth-scale", type=positive_number, metavar="N", help="Units of depth pictures per metre.")
+@click.option("--fps", type=positive_number, metavar="N", help="Frame rate of INPUT.")
+@click.option("--max-depth", type=length, metavar="LENGTH", help="Ignore measurements beyond.")
+@click.option("--frames", type=frame_range, metavar="A:B[:S]", help="Encode frames A to B-1, every S-th.")
+@click.option("--voxel-size", type=length, metavar="LENGTH", help="Edge of a cell.  [default: from the first frame]")
+@click.option("--motion", type=click.Choice(["auto", "known", "track"]), default="auto", show_default=True,
+              help="Use the poses of INPUT, or track.")  # fmt: skip
+@click.option("--segment", type=segmentation, metavar="none|depth:N..F|masks|auto", default="auto", show_default=True,
+              help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT.")  # fmt: skip
+@click.option("--sensor", type=click.Choice(SENSORS), default="auto", show_default=True, help="Noise of the depth.")
+@click.option("--causal", is_flag=True, help="Live: send each group of frames as soon as it is fused.")
+@click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
+@threads_option
+@json_option
+def encode(source: Path, output: Path, verify: bool, as_json: bool, **choices: Any) -> None:
+    """Encode the RGB-D frames in the folder INPUT into a stream; OUTPUT.3dvc may be - (standard output).
+
+    Lengths: 8mm, 1cm, 0.02m; a plain number is metres.
+    """
+    from threedvc.formats import api
+
+    if as_json and output == STANDARD_OUTPUT:
+        raise click.UsageError("--json and the output - both write to standard output; name a file for one of them")
+    config = _configuration(choices)
+    sequence = _open(source, choices)
+    info = sequence.info
+    with Progress("encode", info.frame_count, info.fps) as progress:
+        report = api.encode(
+            sequence,
+            output,
+            config,
+            verify=verify,
+            on_frame=lambda frame: progress.advance(frame.index + 1, frame.bytes_so_far),
+        )
+        progress.summary(_summary(report, output))
+    if as_json:
+        click.echo(json.dumps(_as_map(report), indent=1))
+
+
+def _open(source: Path, choices: dict[str, Any]) -> FrameSequence:
+    from threedvc.formats.sources import open_sequence
+
+    names = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "frames")
+    return open_sequence(source, max_depth_m=choices["max_depth"], **{name: choices[name] for name in names})
+
+
+def _configuration(choices: dict[str, Any]) -> EncoderConfig:
+    from threedvc.config import EncoderConfig, Motion, Sensor
+    from threedvc.parallel import default_threads
+
+    return EncoderConfig(
+        voxel_size_m=choices["voxel_size"],
+        max_depth_m=choices["max_depth"],
+        motion=Motion(choices["motion"]),
+        sensor=Sensor(choices["sensor"]),
+        segmentation=choices["segment"],
+        causal=choices["causal"],
+        threads=choices["threads"] or default_threads(),
+    )
+
+
+def _summary(report: EncodeReport, output: Path) -> str:
+    lost = f", {len(report.lost_frames)} frames lost" if report.lost_frames else ""
+    return (
+        f"{output}: {report.frames} frames, {report.file_bytes:,} bytes, "
+        f"{report.file_bytes * 8 / report.duration_s / 1000:.1f} kbit/s, "
+        f"cells of {1000 * report.voxel_size_m:g} mm, {report.frames / report.seconds:.1f} frames/s{lost}"
+    )
+
+
+def _as_map(report: EncodeReport) -> dict[str, Any]:
+    return {
+        "file_bytes": report.file_bytes,
+        "frames": report.frames,
+        "duration_s": report.duration_s,
+        "kbit_s": report.file_bytes * 8 / report.duration_s / 1000,
+        "seconds": report.seconds,
+        "voxel_size_m": report.voxel_size_m,
+        "lost_frames": list(report.lost_frames),
+        "digest": report.digest.hex(),
+    }

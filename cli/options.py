@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Values and options that several commands share.
+
+Each parser turns the text of one option into a value. A text that is not of the right form is a
+usage error (exit code 2); a value that makes no sense, such as an empty range, is a `ConfigError`
+(exit code 1).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from threedvc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from threedvc.config import SegmentationConfig
+
+__all__ = [
+    "OUTPUTS",
+    "decoded_outputs",
+    "frame_range",
+    "frame_span",
+    "json_option",
+    "length",
+    "object_numbers",
+    "picture_size",
+    "positive_number",
+    "segmentation",
+    "stream_argument",
+    "threads_option",
+]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+OUTPUTS = ("color", "depth", "labels")
+DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
+LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
+RANGE = re.compile(r"(\d*):(\d*)(?::(\d*))?")
+SIZE = re.compile(r"(\d+)[xX](\d+)")
+LABEL_LIMIT = 256
+
+
+def length(text: str) -> float:
+    """Return metres: ``8mm``, ``1cm``, ``0.02m``; a plain number is metres."""
+    match = LENGTH.fullmatch(text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not a length; write 8mm, 1cm, 0.02m or a number of metres")
+    # By the decimal exponent, because a product such as 7 * 0.001 is not the number 0.007.
+    return float(f"{match[1]}e{DECIMAL_EXPONENT[match[2]]}")
+
+
+def positive_number(text: str) -> float:
+    """Return a finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise click.BadParameter(f"{text!r} is not a positive number")
+    return value
+
+
+def frame_range(text: str) -> tuple[int | None, int | None, int | None]:
+    """Return start, stop and step of ``A:B`` or ``A:B:S`` as in a slice; what is left open is None."""
+    match = RANGE.fullmatch(text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not a range of frames; write A:B or A:B:STEP, such as 0:100 or 50:")
+    start, stop, step = (int(part) if part else None for part in match.groups())
+    return start, stop, step
+
+
+def frame_span(text: str) -> tuple[int, int | None]:
+    """Return the ends of ``A:B``, frames A to B-1; an open end is None."""
+    start, stop, step = frame_range(text)
+    if step is not None:
+        raise click.BadParameter(f"{text!r} has a step; decoding takes A:B")
+    if stop is not None and stop <= (start or 0):
+        raise ConfigError(f"--frames {text} is empty; the end must be above the start")
+    return start or 0, stop
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Return width and height in pixels of ``WxH``."""
+    match = SIZE.fullmatch(text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not a picture size; write WIDTHxHEIGHT, such as 640x480")
+    return int(match[1]), int(match[2])
+
+
+def decoded_outputs(text: str) -> frozenset[str]:
+    """Return the set named by a comma-separated list of color, depth and labels."""
+    names = frozenset(text.split(","))
+    if not names <= set(OUTPUTS):
+        raise click.BadParameter(f"{text!r} names something else than {', '.join(OUTPUTS)}")
+    return names
+
+
+def object_numbers(text: str) -> tuple[int, ...]:
+    """Return the object numbers, 0 to 255, of a comma-separated list."""
+    parts = text.split(",")
+    if not all(re.fullmatch(r"\d{1,3}", part) and int(part) < LABEL_LIMIT for part in parts):
+        raise click.BadParameter(f"{text!r} is not a list of object numbers from 0 to 255; write 1,3")
+    return tuple(sorted({int(part) for part in parts}))
+
+
+def segmentation(text: str) -> SegmentationConfig:
+    """Return the choice named by ``none``, ``masks``, ``auto`` or ``depth:NEAR..FAR`` (lengths)."""
+    from threedvc.config import SegmentationConfig, SegmentationMode
+
+    if text in ("none", "masks", "auto"):
+        return SegmentationConfig(mode=SegmentationMode(text))
+    near, dots, far = text.removeprefix("depth:").partition("..")
+    if not text.startswith("depth:") or not dots:
+        raise click.BadParameter(f"{text!r} is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m")
+    return SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=length(near), far_m=length(far))
+
+
+def stream_argument(function: F) -> F:
+    """Add the argument INPUT.3dvc, where - is standard input."""
+    path = click.Path(path_type=Path, allow_dash=True)
+    return click.argument("source", metavar="INPUT.3dvc", type=path)(function)
+
+
+def threads_option(function: F) -> F:
+    """Add ``--threads``."""
+    return click.option(
+        "--threads",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Number of threads; the result does not depend on it.  [default: all processors]",
+    )(function)
+
+
+def json_option(function: F) -> F:
+    """Add ``--json``."""
+    return click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output.")(
+        function
+    )

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: MIT
+"""Encode and decode whole sequences: frames from folders, streams in files and pipes."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import BinaryIO, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import CameraRig
+from threedvc.config import EncoderConfig, RenderConfig
+from threedvc.decoder import Decoder, FrameState, rig_of
+from threedvc.encoder import Encoder, verified
+from threedvc.errors import ConfigError, TruncatedStream
+from threedvc.formats.container import open_input, open_output
+from threedvc.formats.sources import open_sequence
+from threedvc.frame import NANOSECONDS, FrameSequence, SequenceInfo
+from threedvc.packets import Packet, PacketType, StreamHeader
+from threedvc.pose import Pose, compose, inverse
+from threedvc.rendering import Picture, Renderer, RenderModel
+from threedvc.report import FrameReport
+
+__all__ = ["DecodedFrame", "DecodedStream", "EncodeReport", "decode", "encode", "open_stream"]
+
+EVERYTHING = frozenset({"color", "depth", "labels"})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncodeReport(Sequence[FrameReport]):
+    """What encoding came to; as a sequence, one report for each frame.
+
+    Attributes
+    ----------
+    file_bytes, duration_s
+        Size of the stream and length of the sequence.
+    seconds
+        Time it took.
+    voxel_size_m
+        Cell of the first object.
+    digest
+        Digest of the decoded models.
+    """
+
+    reports: tuple[FrameReport, ...]
+    file_bytes: int
+    duration_s: float
+    seconds: float
+    voxel_size_m: float
+    digest: bytes
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.reports)
+
+    @property
+    def lost_frames(self) -> tuple[int, ...]:
+        """Frames in which an object could not be found."""
+        return tuple(report.index for report in self.reports if report.status == "lost")
+
+    def __len__(self) -> int:
+        return len(self.reports)
+
+    @overload
+    def __getitem__(self, index: int) -> FrameReport: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[FrameReport]: ...
+    def __getitem__(self, index: int | slice) -> FrameReport | Sequence[FrameReport]:
+        return self.reports[index]
+
+
+def encode(
+    source: str | os.PathLike[str] | FrameSequence,
+    output: str | os.PathLike[str] | BinaryIO,
+    config: EncoderConfig | None = None,
+    *,
+    verify: bool = False,
+    on_frame: Callable[[FrameReport], None] | None = None,
+) -> EncodeReport:
+    """Encode a sequence of RGB-D frames.
+
+    Parameters
+    ----------
+    source
+        A folder in a layout that `open_sequence` knows, or a sequence.
+    output
+        A file name, ``-`` for standard output, or a binary stream.
+    config
+        Choices; None: defaults.
+    verify
+        Decode what is written, and fail if the decoder arrives at another model.
+    on_frame
+        Called after each frame is fused.
+
+    Returns
+    -------
+    EncodeReport
+        A sequence of the frames' reports, with totals.
+
+    Raises
+    ------
+    SequenceError
+        If the input is missing or implausible.
+    OutputError
+        If the output cannot be written.
+    """
+    sequence = open_sequence(source) if isinstance(source, str | os.PathLike) else source
+    info = sequence.info
+    began = time.perf_counter()
+    encoder = Encoder(info, config)
+    written = 0
+
+    def report(frame: FrameReport) -> None:
+        if on_frame is not None:
+            on_frame(replace(frame, bytes_so_far=written))
+
+    packets: Iterable[Packet] = encoder.packets(sequence, report)
+    if verify:
+        packets = verified(packets)
+    digest = b""
+    with open_output(output) as writer:
+        for packet in packets:
+            writer.write(packet)
+            written = writer.offset
+            if packet.type == PacketType.END:
+                digest = packet.header["d"]
+    return EncodeReport(
+        reports=tuple(encoder.reports),
+        file_bytes=writer.offset,
+        duration_s=len(encoder.reports) / info.fps,
+        seconds=time.perf_counter() - began,
+        voxel_size_m=encoder.scene.objects[0].evidence.voxel_size_m,
+        digest=digest,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DecodedFrame:
+    """One frame out of a stream.
+
+    Attributes
+    ----------
+    index, timestamp_ns
+        Which frame.
+    color
+        (h, w, 3) uint8 RGB in the colour camera.
+    depth
+        (h, w) float32 metres in the depth camera, 0 = nothing there.
+    labels
+        (h, w) uint8 object numbers in the depth camera.
+    T_world_camera
+        Pose of the depth camera that the frame was drawn from.
+    T_camera_object
+        Poses of the objects except the background, by number.
+    """
+
+    index: int
+    timestamp_ns: int
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+    T_world_camera: Pose
+    T_camera_object: dict[int, Pose]
+
+
+class DecodedStream:
+    """A stream being decoded: its description, and its frames by iteration (once).
+
+    Made by `open_stream`, which documents the choices.
+
+    Attributes
+    ----------
+    info
+        The sequence as it will come out; `frame_count` is None, for only END tells.
+    decoder
+        Models, report and completeness, as far as decoding has come.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike[str] | BinaryIO,
+        *,
+        frames: tuple[int, int | None] | None,
+        what: frozenset[str],
+        size: tuple[int, int] | None,
+        objects: Sequence[int] | None,
+        camera_path: Sequence[Pose] | None,
+        render: RenderConfig | None,
+    ) -> None:
+        if camera_path is not None and not len(camera_path):
+            raise ConfigError("the camera path has no poses; give one line for each frame")
+        self.decoder = Decoder()
+        self._frames, self._what, self._objects = frames or (0, None), what, objects
+        self._camera_path = camera_path
+        self._packets = _packets(source)
+        self._head = next(self._packets, None)
+        if self._head is None or self._head.type != PacketType.STREAM:
+            raise TruncatedStream("the stream ends before its STREAM packet; nothing can be decoded")
+        header = StreamHeader.from_map(self._head.header)
+        rig = rig_of(header)
+        self._rig = rig if size is None else rig.resized(*size)
+        self._renderer = Renderer(self._rig, render)
+        self._models: dict[int, RenderModel] = {}
+        self.info = _info(header, self._rig, what)
+
+    def __iter__(self) -> Iterator[DecodedFrame]:
+        first, stop = self._frames
+        with closing(self._packets):
+            for state in self.decoder.frames(self._all_packets()):
+                if stop is not None and state.index >= stop:
+                    return
+                if state.index >= first:
+                    yield self._draw(state)
+        if first >= self.decoder.frame_count:
+            raise ConfigError(f"frame {first} is beyond the stream, which has {self.decoder.frame_count} frames")
+
+    def _all_packets(self) -> Iterator[Packet]:
+        assert self._head is not None
+        yield self._head
+        yield from self._packets
+
+    def _draw(self, state: FrameState) -> DecodedFrame:
+        T_world_camera, poses = state.T_world_camera, dict(state.T_camera_object)
+        if self._camera_path is not None:
+            seen_from = self._camera_path[min(state.index, len(self._camera_path) - 1)]
+            T_view_camera = compose(inverse(seen_from), T_world_camera)
+            poses = {number: compose(T_view_camera, pose) for number, pose in poses.items()}
+            T_world_camera = seen_from
+        picture = self._picture(poses)
+        return DecodedFrame(
+            index=state.index,
+            timestamp_ns=state.timestamp_ns,
+            color=picture.color,
+            depth=picture.depth,
+            labels=picture.labels,
+            T_world_camera=T_world_camera,
+            T_camera_object={number: pose for number, pose in poses.items() if number},
+        )
+
+    def _picture(self, poses: dict[int, Pose]) -> Picture:
+        shown = {number: pose for number, pose in poses.items() if self._objects is None or number in self._objects}
+        for number in shown:
+            if number not in self._models:
+                self._models[number] = RenderModel(self.decoder.models[number])
+            self._models[number].refresh(self._renderer.config.threads)
+        return self._renderer.draw(self._models, shown, color="color" in self._what)
+
+
+def _packets(source: str | os.PathLike[str] | BinaryIO) -> Iterator[Packet]:
+    with open_input(source) as reader:
+        yield from reader
+
+
+def _info(header: StreamHeader, rig: CameraRig, what: frozenset[str]) -> SequenceInfo:
+    return SequenceInfo(
+        name=header.name,
+        rig=rig,
+        depth_scale=header.depth_scale,
+        fps=NANOSECONDS * header.period_den / header.period_num,
+        frame_count=None,
+        grey=header.grey,
+        has_camera_poses=True,
+        has_object_poses=True,
+        has_masks="labels" in what,
+    )
+
+
+def open_stream(
+    source: str | os.PathLike[str] | BinaryIO,
+    *,
+    frames: tuple[int, int | None] | None = None,
+    what: frozenset[str] = EVERYTHING,
+    size: tuple[int, int] | None = None,
+    objects: Sequence[int] | None = None,
+    camera_path: Sequence[Pose] | None = None,
+    render: RenderConfig | None = None,
+) -> DecodedStream:
+    """Open a stream for decoding.
+
+    Parameters
+    ----------
+    source
+        A file name, ``-`` for standard input, or a binary stream.
+    frames
+        First frame and the one after the last; None: all.
+    what
+        Which of ``color``, ``depth``, ``labels`` are wanted; without colour its rays are saved.
+    size
+        (width, height) of the pictures; None: as encoded.
+    objects
+        Numbers of the objects to draw; None: all.
+    camera_path
+        T_world_camera for each frame, its last one for all that follow; None: as filmed.
+    render
+        Choices of the renderer.
+
+    Returns
+    -------
+    DecodedStream
+        Iterate over it for the frames; TruncatedStream is raised after the last one that is complete.
+    """
+    return DecodedStream(
+        source, frames=frames, what=what, size=size, objects=objects, camera_path=camera_path, render=render
+    )
+
+
+def decode(
+    source: str | os.PathLike[str] | BinaryIO,
+    *,
+    frames: tuple[int, int | None] | None = None,
+    what: frozenset[str] = EVERYTHING,
+    size: tuple[int, int] | None = None,
+    objects: Sequence[int] | None = None,
+    camera_path: Sequence[Pose] | None = None,
+    render: RenderConfig | None = None,
+) -> Iterator[DecodedFrame]:
+    """Iterate over the frames of a stream; the parameters are those of `open_stream`."""
+    yield from open_stream(
+        source, frames=frames, what=what, size=size, objects=objects, camera_path=camera_path, render=render
+    )

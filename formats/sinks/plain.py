@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: MIT
+"""Write frames as a folder in the plain layout, which `threedvc.formats.sources` reads back exactly.
+
+Pictures are compressed by several threads; each picture's bytes depend on its content alone. The folder is valid
+input after every closed sink, also one that closes early because a stream ended: poses and times stand in it for
+exactly the frames that were written. ``intrinsics.json`` says ``"written_by": "3dvc"``, by which a later sink knows
+a folder that it may overwrite, and ``"complete": false`` until the sink was closed without an error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import Camera
+from threedvc.errors import ConfigError, OutputError, SequenceError, ThreedvcError
+from threedvc.formats.sources.text import read_json
+from threedvc.formats.sources.timestamps import regular_stamp
+from threedvc.frame import Frame, SequenceInfo
+from threedvc.parallel import default_threads
+from threedvc.pose import Pose, quaternion
+
+__all__ = ["PARTS", "PlainSink"]
+
+PARTS = frozenset({"color", "depth", "labels"})
+FOLDERS = {"color": "color", "depth": "depth", "labels": "masks"}
+INTRINSICS = "intrinsics.json"
+SIDECARS = ("poses.txt", "object_poses.json", "timestamps.txt")
+OWN_PICTURE = re.compile(r"\d{6,}\.png(\.part)?")
+WRITER = "3dvc"
+DEPTH_LIMIT = 65535
+PENDING_PER_THREAD = 4
+
+
+@dataclass(frozen=True, eq=False)
+class _Written:
+    """What the text files say of one written frame."""
+
+    index: int
+    timestamp_ns: int
+    color_timestamp_ns: int | None
+    T_world_camera: Pose | None
+    T_camera_object: Mapping[int, Pose]
+
+
+class PlainSink:
+    """A folder in the plain layout, to be filled frame by frame inside a ``with`` block.
+
+    Parameters
+    ----------
+    folder
+        Made if absent. An empty folder or an earlier output is filled anew; files of other names stay untouched.
+    info
+        Cameras, depth scale, frame rate, and whether colour has one channel, of what is written.
+    what
+        Which of `PARTS` to write; others are ignored when handed over.
+    threads
+        Threads that compress pictures; by default one per processor.
+
+    Raises
+    ------
+    ConfigError
+        If `what` is empty or names an unknown part.
+    OutputError
+        If the folder cannot be written, or holds a recording that no sink wrote.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        info: SequenceInfo,
+        *,
+        what: Collection[str] = PARTS,
+        threads: int | None = None,
+    ) -> None:
+        unknown = sorted(set(what) - PARTS)
+        if unknown or not what:
+            raise ConfigError(f"--what {','.join(unknown)}: choose from {','.join(sorted(PARTS))}")
+        self._folder = Path(folder)
+        self._info = info
+        self._what = frozenset(what)
+        self._threads = threads or default_threads()
+        self._written: list[_Written] = []
+        self._pending: deque[Future[None]] = deque()
+        self._begin()
+        self._encoders = ThreadPoolExecutor(max_workers=self._threads, thread_name_prefix="threedvc-png")
+        self._closed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+            return
+        # The first error is the one to report.
+        with suppress(ThreedvcError):
+            self.close(complete=False)
+
+    def write(
+        self,
+        index: int,
+        timestamp_ns: int,
+        *,
+        color: NDArray[np.uint8] | None = None,
+        depth: NDArray[np.float32] | None = None,
+        labels: NDArray[np.uint8] | None = None,
+        T_world_camera: Pose | None = None,
+        T_camera_object: Mapping[int, Pose] | None = None,
+        color_timestamp_ns: int | None = None,
+    ) -> None:
+        """Write one frame; the arrays may be reused as soon as this returns.
+
+        Parameters
+        ----------
+        index
+            Number of the frame, which names its files; greater than that of the frame before.
+        timestamp_ns, color_timestamp_ns
+            Times of the depth picture, and of the colour picture where that differs.
+        color
+            (height, width, 3) uint8 RGB.
+        depth
+            (height, width) metres. 0, NaN and what 16 bits cannot hold at the depth scale become 0, no measurement.
+        labels
+            (height, width) uint8 object labels in the depth camera.
+        T_world_camera, T_camera_object
+            Poses where known.
+
+        Raises
+        ------
+        OutputError
+            If an earlier picture could not be written.
+        """
+        if self._written and index <= self._written[-1].index:
+            raise ConfigError(f"frame {index} follows frame {self._written[-1].index}; write frames in order")
+        for part, picture in self._pictures(color, depth, labels):
+            path = self._folder / FOLDERS[part] / f"{index:06d}.png"
+            self._pending.append(self._encoders.submit(_write_png, path, picture))
+        self._written.append(
+            _Written(index, timestamp_ns, color_timestamp_ns, T_world_camera, dict(T_camera_object or {}))
+        )
+        self._wait(self._threads * PENDING_PER_THREAD)
+
+    def write_frame(self, frame: Frame) -> None:
+        """Write a `Frame` with all that it carries; raises as `write` does."""
+        self.write(
+            frame.index,
+            frame.timestamp_ns,
+            color=frame.color,
+            depth=frame.depth,
+            labels=frame.mask,
+            T_world_camera=frame.T_world_camera,
+            T_camera_object=frame.T_camera_object,
+            color_timestamp_ns=frame.color_timestamp_ns,
+        )
+
+    def close(self, *, complete: bool = True) -> None:
+        """Wait for all pictures and write poses and times; closing twice does nothing.
+
+        Parameters
+        ----------
+        complete
+            Whether all frames that were to be written have been.
+
+        Raises
+        ------
+        OutputError
+            If something could not be written.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._wait(0)
+        finally:
+            self._encoders.shutdown(cancel_futures=True)
+        self._write_poses()
+        self._write_object_poses()
+        self._write_timestamps()
+        self._write_intrinsics(complete=complete)
+
+    def _begin(self) -> None:
+        """Claim the folder: make it, mark it as ours, and remove what an earlier sink wrote."""
+        if self._folder.exists() and not self._folder.is_dir():
+            raise OutputError(f"{self._folder}: is a file; choose another folder")
+        if self._holds_recording() and not self._is_own():
+            raise OutputError(f"{self._folder}: holds a recording that 3dvc did not write; choose another folder")
+        with _output_errors(self._folder):
+            self._folder.mkdir(parents=True, exist_ok=True)
+        self._write_intrinsics(complete=False)
+        with _output_errors(self._folder):
+            for name in FOLDERS.values():
+                _clear_pictures(self._folder / name)
+            for name in SIDECARS:
+                (self._folder / name).unlink(missing_ok=True)
+
+    def _holds_recording(self) -> bool:
+        names = (INTRINSICS, *SIDECARS, *FOLDERS.values())
+        return any((self._folder / name).exists() for name in names)
+
+    def _is_own(self) -> bool:
+        try:
+            return read_json(self._folder / INTRINSICS).get("written_by") == WRITER
+        except SequenceError:
+            return False
+
+    def _pictures(
+        self,
+        color: NDArray[np.uint8] | None,
+        depth: NDArray[np.float32] | None,
+        labels: NDArray[np.uint8] | None,
+    ) -> Iterator[tuple[str, cv2.typing.MatLike]]:
+        """Yield the parts to write as OpenCV wants them, in memory of their own."""
+        if color is not None and "color" in self._what:
+            yield "color", color[..., 0].copy() if self._info.grey else cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
+        if depth is not None and "depth" in self._what:
+            yield "depth", _depth_units(depth, self._info.depth_scale)
+        if labels is not None and "labels" in self._what:
+            yield "labels", labels.copy()
+
+    def _wait(self, allowed: int) -> None:
+        """Wait until at most `allowed` pictures are still to be compressed; raises the error of a failed one."""
+        while len(self._pending) > allowed:
+            self._pending.popleft().result()
+
+    def _write_poses(self) -> None:
+        if not any(frame.T_world_camera is not None for frame in self._written):
+            return
+        lines = ["# frame tx ty tz qx qy qz qw, T_world_camera, metres"]
+        for frame in self._written:
+            pose = frame.T_world_camera
+            values = [] if pose is None else [*pose[:3, 3], *quaternion(pose[:3, :3])]
+            lines.append(" ".join([str(frame.index), *(f"{value:.12f}" for value in values)]))
+        _write_text(self._folder / "poses.txt", lines)
+
+    def _write_object_poses(self) -> None:
+        labels = sorted({label for frame in self._written for label in frame.T_camera_object})
+        if not labels:
+            return
+        entries = {
+            str(label): [
+                frame.T_camera_object[label].tolist() if label in frame.T_camera_object else None
+                for frame in self._written
+            ]
+            for label in labels
+        }
+        _write_text(self._folder / "object_poses.json", [json.dumps(entries)])
+
+    def _write_timestamps(self) -> None:
+        if all(self._is_regular(frame) for frame in self._written):
+            return
+        lines = ["# frame timestamp_ns [color_timestamp_ns]"]
+        for frame in self._written:
+            stamps = [frame.timestamp_ns]
+            if frame.color_timestamp_ns is not None:
+                stamps.append(frame.color_timestamp_ns)
+            lines.append(" ".join(str(value) for value in (frame.index, *stamps)))
+        _write_text(self._folder / "timestamps.txt", lines)
+
+    def _is_regular(self, frame: _Written) -> bool:
+        regular = regular_stamp(frame.index - self._written[0].index, self._info.fps)
+        return frame.timestamp_ns == regular and frame.color_timestamp_ns is None
+
+    def _write_intrinsics(self, *, complete: bool) -> None:
+        rig = self._info.rig
+        cameras: dict[str, object] = {}
+        if rig.registered:
+            cameras = _camera_entries(rig.color)
+        else:
+            cameras = {
+                "color": _camera_entries(rig.color),
+                "depth": _camera_entries(rig.depth),
+                "T_color_depth": rig.T_color_depth.tolist(),
+            }
+        content = {
+            **cameras,
+            "depth_scale": self._info.depth_scale,
+            "fps": self._info.fps,
+            "written_by": WRITER,
+            "complete": complete,
+        }
+        _write_text(self._folder / INTRINSICS, [json.dumps(content, indent=1)])
+
+
+def _depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.uint16]:
+    units = np.rint(depth * np.float32(depth_scale))
+    held = (units >= 0) & (units <= DEPTH_LIMIT)
+    return np.where(held, units, 0).astype(np.uint16)
+
+
+def _camera_entries(camera: Camera) -> dict[str, object]:
+    entries: dict[str, object] = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return {**entries, "distortion": list(camera.distortion)} if camera.distorted else entries
+
+
+def _clear_pictures(folder: Path) -> None:
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if OWN_PICTURE.fullmatch(path.name):
+            path.unlink()
+    # An empty masks/ would announce masks that are not there.
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def _write_png(path: Path, picture: cv2.typing.MatLike) -> None:
+    # OpenCV's own settings are its fastest that still compress; naming a level turns on slower filters.
+    _, data = cv2.imencode(".png", picture)
+    _write_bytes(path, data.tobytes())
+
+
+def _write_text(path: Path, lines: list[str]) -> None:
+    _write_bytes(path, "".join(f"{line}\n" for line in lines).encode())
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that its name never shows a half-written one."""
+    part = path.with_name(f"{path.name}.part")
+    with _output_errors(path):
+        path.parent.mkdir(exist_ok=True)
+        part.write_bytes(data)
+        part.replace(path)
+
+
+@contextmanager
+def _output_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror}); free space or choose another folder"
+        ) from None

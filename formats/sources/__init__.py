@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: MIT
+"""Readers of RGB-D recordings: one file per layout, all turned into `threedvc.frame.Frame`."""
+
+from __future__ import annotations
+
+from threedvc.formats.sources.opening import FrameRange, open_sequence
+from threedvc.formats.sources.registry import layout_names
+from threedvc.formats.sources.sequence import FolderSequence
+
+__all__ = ["FolderSequence", "FrameRange", "layout_names", "open_sequence"]

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT
+"""Camera intrinsics as users have them: our own JSON, Open3D's JSON, a 3x3 matrix, or four numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from threedvc.camera import Camera, CameraRig
+from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.sources.association import PicturePair
+from threedvc.formats.sources.images import read_header
+from threedvc.formats.sources.poses import rigid_poses
+from threedvc.formats.sources.recording import SourceOptions, resolved
+from threedvc.formats.sources.text import read_json, read_rows
+
+__all__ = ["CameraFile", "PictureSize", "find_cameras", "numbers_option", "published_camera", "read_intrinsics"]
+
+PictureSize = tuple[int, int]
+
+INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
+REMEDY = "give --intrinsics FILE or fx,fy,cx,cy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFile:
+    """What an intrinsics file or option says: the cameras, and where it says so, depth scale and frame rate."""
+
+    rig: CameraRig
+    depth_scale: float | None = None
+    fps: float | None = None
+
+
+def find_cameras(
+    folder: Path, options: SourceOptions, pair: PicturePair, own_file: Path | None = None
+) -> CameraFile | None:
+    """Return the cameras that the user gives, else those of the recording's own file, else None.
+
+    Parameters
+    ----------
+    folder, options
+        The recording and what the user said.
+    pair
+        The first colour and depth picture: their sizes complete what names no size.
+    own_file
+        The intrinsics file of the recording, if it has one. It also completes the user's depth scale and frame rate.
+    """
+    color, depth = (read_header(path).size for path in pair)
+    own = read_intrinsics(own_file, color, depth) if own_file else None
+    if options.intrinsics is None:
+        return own
+    path = resolved(folder, options.intrinsics)
+    given = read_intrinsics(path, color, depth) if path.is_file() else numbers_option(options.intrinsics, color, depth)
+    if own is None:
+        return given
+    return replace(given, depth_scale=given.depth_scale or own.depth_scale, fps=given.fps or own.fps)
+
+
+def published_camera(camera: Camera | None, pair: PicturePair) -> CameraFile:
+    """Return the published camera of a data set as a registered rig.
+
+    Raises
+    ------
+    SequenceError
+        If there is none or the pictures differ from it in size.
+    """
+    if camera is None or any(read_header(path).size != (camera.width, camera.height) for path in pair):
+        raise SequenceError(f"{pair[0].parent.parent}: no camera intrinsics; {REMEDY}")
+    return CameraFile(rig=CameraRig.registered_to(camera))
+
+
+def numbers_option(text: str, color: PictureSize, depth: PictureSize) -> CameraFile:
+    """Read ``fx,fy,cx,cy`` (pixels) as the one camera of registered pictures.
+
+    Raises
+    ------
+    ConfigError
+        If the text is not four sensible numbers, or colour and depth differ in size.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 4:
+        raise ConfigError(f"--intrinsics {text}: neither a file nor four numbers fx,fy,cx,cy; {REMEDY}")
+    if color != depth:
+        raise ConfigError(
+            f"--intrinsics {text}: one camera cannot have pictures of {_size(color)} (colour) and {_size(depth)} "
+            "(depth); give a file with color, depth and T_color_depth"
+        )
+    return CameraFile(rig=CameraRig.registered_to(_camera(values, color, f"--intrinsics {text}")))
+
+
+def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> CameraFile:
+    """Read an intrinsics file.
+
+    Parameters
+    ----------
+    path
+        A ``.json`` file, in our form (`width, height, fx, fy, cx, cy`, optional `distortion`, `depth_scale`, `fps`;
+        or those under `color` and `depth`, with `T_color_depth`) or in Open3D's (`width, height`, column-major
+        `intrinsic_matrix`); or a text file with a 3x3 or 4x4 matrix.
+    color, depth
+        Width and height of the first pictures, for files that do not say.
+
+    Raises
+    ------
+    SequenceError
+        If the file cannot be read or a value is missing or impossible.
+    """
+    if path.suffix.lower() != ".json":
+        return CameraFile(rig=_registered(_matrix_file(path), color, depth, str(path)))
+    content = read_json(path)
+    if isinstance(content.get("intrinsic"), dict):
+        content = {**content, **_mapping(content, "intrinsic", path)}
+    return CameraFile(
+        rig=_two_cameras(content, path) if "color" in content else _one_camera(content, path, color, depth),
+        depth_scale=_optional_positive(content, "depth_scale", path),
+        fps=_optional_positive(content, "fps", path),
+    )
+
+
+def _one_camera(content: Mapping[str, object], path: Path, color: PictureSize, depth: PictureSize) -> CameraRig:
+    if "intrinsic_matrix" in content:
+        matrix = _numbers(content, "intrinsic_matrix", path)
+        if len(matrix) != 9:
+            raise SequenceError(f"{path}: intrinsic_matrix has {len(matrix)} numbers, expected 9; correct the file")
+        values = [matrix[0], matrix[4], matrix[6], matrix[7]]
+        size = _picture_size(content, path) if "width" in content else color
+        return _registered(values, size, size if "width" in content else depth, str(path))
+    return CameraRig.registered_to(_camera_entry(content, path, ""))
+
+
+def _two_cameras(content: Mapping[str, object], path: Path) -> CameraRig:
+    extrinsic = np.eye(4)
+    if "T_color_depth" in content:
+        try:
+            extrinsic = np.array(content["T_color_depth"], dtype=np.float64).reshape(4, 4)
+        except (TypeError, ValueError):
+            raise SequenceError(f"{path}: T_color_depth is not a 4x4 matrix of numbers; correct the file") from None
+    return CameraRig(
+        color=_camera_entry(_mapping(content, "color", path), path, "color."),
+        depth=_camera_entry(_mapping(content, "depth", path), path, "depth."),
+        T_color_depth=rigid_poses(extrinsic[None], [f"{path}: T_color_depth"])[0],
+    )
+
+
+def _camera_entry(content: Mapping[str, object], path: Path, prefix: str) -> Camera:
+    missing = [name for name in ("width", "height", *INTRINSIC_NAMES) if name not in content]
+    if missing:
+        raise SequenceError(f"{path}: {prefix}{missing[0]} is missing; add it, or {REMEDY}")
+    values = [_number(content, name, path) for name in INTRINSIC_NAMES]
+    distortion = _numbers(content, "distortion", path) if "distortion" in content else []
+    if len(distortion) not in (0, 4, 5):
+        raise SequenceError(
+            f"{path}: {prefix}distortion has {len(distortion)} coefficients, expected k1 k2 p1 p2 k3; "
+            "undistort the pictures or fit that model"
+        )
+    return _camera(values, _picture_size(content, path), str(path), distortion)
+
+
+def _registered(values: list[float], color: PictureSize, depth: PictureSize, source: str) -> CameraRig:
+    if color != depth:
+        raise SequenceError(
+            f"{source}: holds one camera, but colour is {_size(color)} and depth {_size(depth)}; "
+            "give a JSON file with color, depth and T_color_depth"
+        )
+    return CameraRig.registered_to(_camera(values, color, source))
+
+
+def _camera(values: list[float], size: PictureSize, source: str, distortion: list[float] | None = None) -> Camera:
+    fx, fy, cx, cy = values
+    k1, k2, p1, p2, k3 = [*(distortion or []), 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    width, height = size
+    try:
+        return Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2, k3))
+    except ConfigError as error:
+        raise SequenceError(f"{source}: {error}; {REMEDY}") from None
+
+
+def _matrix_file(path: Path) -> list[float]:
+    rows = [row.floats() for row in read_rows(path)]
+    if len(rows) not in (3, 4) or any(len(row) != len(rows) for row in rows):
+        raise SequenceError(f"{path}: is neither JSON nor a 3x3 matrix; {REMEDY}")
+    return [rows[0][0], rows[1][1], rows[0][2], rows[1][2]]
+
+
+def _picture_size(content: Mapping[str, object], path: Path) -> PictureSize:
+    return int(_number(content, "width", path)), int(_number(content, "height", path))
+
+
+def _mapping(content: Mapping[str, object], name: str, path: Path) -> Mapping[str, object]:
+    value = content.get(name)
+    if not isinstance(value, dict):
+        raise SequenceError(f"{path}: {name} is not an object with fx, fy, cx, cy; correct the file")
+    return value
+
+
+def _optional_positive(content: Mapping[str, object], name: str, path: Path) -> float | None:
+    if content.get(name) is None:
+        return None
+    value = _number(content, name, path)
+    if value <= 0:
+        raise SequenceError(f"{path}: {name} is {value:g}, expected a positive number; correct the file")
+    return value
+
+
+def _number(content: Mapping[str, object], name: str, path: Path) -> float:
+    value = content.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise SequenceError(f"{path}: {name} is {value!r}, expected a number; correct the file")
+    return float(value)
+
+
+def _numbers(content: Mapping[str, object], name: str, path: Path) -> list[float]:
+    value = content[name]
+    if not isinstance(value, list) or not all(isinstance(item, int | float) for item in value):
+        raise SequenceError(f"{path}: {name} is not a list of numbers; correct the file")
+    return [float(item) for item in value]
+
+
+def _size(size: PictureSize) -> str:
+    return f"{size[0]}x{size[1]}"

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""Open a recording in whatever layout it has."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.sources.recording import Recording, SourceOptions
+from threedvc.formats.sources.registry import AUTO, find_layout
+from threedvc.formats.sources.sequence import FolderSequence
+
+__all__ = ["FrameRange", "open_sequence"]
+
+FrameRange = tuple[int | None, int | None, int | None]
+
+
+def open_sequence(
+    path: str | os.PathLike[str],
+    *,
+    layout: str = AUTO,
+    color: str | os.PathLike[str] | None = None,
+    depth: str | os.PathLike[str] | None = None,
+    intrinsics: str | os.PathLike[str] | None = None,
+    depth_scale: float | None = None,
+    fps: float | None = None,
+    max_depth_m: float | None = None,
+    frames: FrameRange | None = None,
+) -> FolderSequence:
+    """Open an RGB-D recording as a sequence of frames.
+
+    Parameters
+    ----------
+    path
+        The recording's folder.
+    layout
+        ``auto`` or one of `registry.layout_names`.
+    color, depth
+        Folders of pictures, relative to `path` or to the current folder, for layouts that take them.
+    intrinsics
+        A JSON file (ours or Open3D's), a text file with a 3x3 matrix, or ``fx,fy,cx,cy`` in pixels.
+    depth_scale
+        Units per metre of the depth pictures.
+    fps
+        Nominal frame rate; a layout with a clock of its own keeps its stamps.
+    max_depth_m
+        Depth beyond this many metres is no measurement.
+    frames
+        ``(start, stop, step)`` as in a slice, except that a range beyond the end is an error and `step` is
+        positive. Frames are numbered from 0 again and keep their stamps.
+
+    Returns
+    -------
+    FolderSequence
+        Metres, OpenCV axes, camera-to-world poses, nanoseconds.
+
+    Raises
+    ------
+    SequenceError
+        If the recording is missing, incomplete, unreadable or implausible.
+    ConfigError
+        If an option has an impossible value.
+    """
+    for name, value in (("--depth-scale", depth_scale), ("--fps", fps), ("--max-depth", max_depth_m)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ConfigError(f"{name} {value:g}: must be a positive number; correct it or leave it out")
+    folder = Path(path)
+    _require_folder(folder)
+    options = SourceOptions(
+        color=_text(color), depth=_text(depth), intrinsics=_text(intrinsics), depth_scale=depth_scale, fps=fps
+    )
+    recording = find_layout(folder, layout, options).read(folder, options)
+    return FolderSequence(_cut(recording, frames) if frames else recording, max_depth_m=max_depth_m)
+
+
+def _text(path: str | os.PathLike[str] | None) -> str | None:
+    return None if path is None else os.fspath(path)
+
+
+def _require_folder(folder: Path) -> None:
+    if folder.is_file():
+        raise SequenceError(f"{folder}: is a file; give the folder of an RGB-D recording")
+    if not folder.is_dir():
+        raise SequenceError(f"{folder}: no such folder; give the folder of an RGB-D recording")
+
+
+def _cut(recording: Recording, frames: FrameRange) -> Recording:
+    start, stop, step = frames
+    count = len(recording.frames)
+    asked = ":".join("" if part is None else str(part) for part in frames)
+    if step is not None and step < 1:
+        raise ConfigError(f"--frames {asked}: the step must be 1 or more; correct the range")
+    if max(start or 0, stop or 0) > count or min(start or 0, stop or 0) < -count:
+        raise SequenceError(f"{recording.folder}: --frames {asked} reaches beyond its {count} frames; shorten it")
+    chosen = recording.frames[start:stop:step]
+    if not chosen:
+        raise SequenceError(f"{recording.folder}: --frames {asked} selects none of its {count} frames; widen it")
+    return replace(recording, frames=chosen, fps=recording.fps / (step or 1))

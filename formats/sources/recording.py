@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""What a layout reader hands over: which files make up each frame, and what holds for all of them.
+
+A layout is one module that defines a `Layout`; `registry.py` lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from threedvc.camera import CameraRig
+from threedvc.errors import SequenceError
+from threedvc.pose import Pose
+
+__all__ = [
+    "DEFAULT_FPS",
+    "MILLIMETRES",
+    "FrameFiles",
+    "Layout",
+    "Recording",
+    "SourceOptions",
+    "chosen_folder",
+    "first_folder",
+    "resolved",
+]
+
+DEFAULT_FPS = 30.0
+MILLIMETRES = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceOptions:
+    """What a user may say about a recording; None leaves it to the recording.
+
+    Attributes
+    ----------
+    color, depth
+        Folders of pictures, relative to the recording or to the current folder.
+    intrinsics
+        A file, or ``fx,fy,cx,cy``.
+    depth_scale
+        Units per metre of the depth pictures.
+    fps
+        Nominal frame rate.
+    """
+
+    color: str | None = None
+    depth: str | None = None
+    intrinsics: str | None = None
+    depth_scale: float | None = None
+    fps: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameFiles:
+    """The files and the known facts of one frame; the names are those of `threedvc.frame.Frame`."""
+
+    color: Path
+    depth: Path
+    timestamp_ns: int
+    mask: Path | None = None
+    color_timestamp_ns: int | None = None
+    T_world_camera: Pose | None = None
+    T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """A recorded sequence before any picture is decoded.
+
+    Attributes
+    ----------
+    folder
+        Where it was found.
+    frames
+        In order of time.
+    rig
+        Cameras.
+    depth_scale
+        Units per metre of the depth pictures.
+    fps
+        Nominal frame rate.
+    invalid_depth
+        Raw depth value that means "no measurement" besides 0, or None.
+    """
+
+    folder: Path
+    frames: tuple[FrameFiles, ...]
+    rig: CameraRig
+    depth_scale: float
+    fps: float
+    invalid_depth: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """One way to lay out an RGB-D recording in a folder.
+
+    Attributes
+    ----------
+    name
+        What a user calls it.
+    recognises
+        Tells, without opening a picture, whether a folder has this layout.
+    read
+        Lists a recording; raises SequenceError or ConfigError.
+    takes_folders
+        Whether the colour and depth folders can be given.
+    """
+
+    name: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, SourceOptions], Recording]
+    takes_folders: bool = False
+
+
+def resolved(folder: Path, given: str) -> Path:
+    """Return the path a user means: relative to the recording, or to the current folder if it exists only there."""
+    inside, outside = folder / given, Path(given)
+    return outside if outside.exists() and not inside.exists() else inside
+
+
+def chosen_folder(folder: Path, given: str | None, default: Path | None, option: str) -> Path:
+    """Return the folder of pictures that the user gives, else the recording's own.
+
+    Raises
+    ------
+    SequenceError
+        If it does not exist.
+    """
+    chosen = default if given is None else resolved(folder, given)
+    if chosen is None or not chosen.is_dir():
+        raise SequenceError(f"{chosen or folder}: no such folder of pictures; give it with {option} DIR")
+    return chosen
+
+
+def first_folder(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """Return the first of several subfolders that exists."""
+    return next((folder / name for name in names if (folder / name).is_dir()), None)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""The layouts that 3dvc reads, in the order in which they are tried: the most telling first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.sources import bare, icl_nuim, plain, redwood, seven_scenes, tum
+from threedvc.formats.sources.recording import Layout, SourceOptions
+
+__all__ = ["AUTO", "LAYOUTS", "find_layout", "layout_names"]
+
+AUTO = "auto"
+LAYOUTS: tuple[Layout, ...] = (
+    icl_nuim.LAYOUT,
+    tum.LAYOUT,
+    seven_scenes.LAYOUT,
+    plain.LAYOUT,
+    redwood.LAYOUT,
+    bare.LAYOUT,
+)
+
+
+def layout_names() -> tuple[str, ...]:
+    """Return what a user may ask for: ``auto`` and the name of each layout."""
+    return AUTO, *(layout.name for layout in LAYOUTS)
+
+
+def find_layout(folder: Path, name: str, options: SourceOptions) -> Layout:
+    """Return the layout of a name, or for ``auto`` the first that recognises the folder.
+
+    Raises
+    ------
+    ConfigError
+        If there is no layout of that name, or it does not take the folders given.
+    SequenceError
+        If no layout recognises the folder.
+    """
+    gives_folders = options.color is not None or options.depth is not None
+    if name == AUTO:
+        return _recognised(folder, gives_folders)
+    layout = next((layout for layout in LAYOUTS if layout.name == name), None)
+    if layout is None:
+        raise ConfigError(f"--layout {name}: no such layout; choose one of {', '.join(layout_names())}")
+    if gives_folders and not layout.takes_folders:
+        raise ConfigError(f"--layout {name}: finds its pictures itself; leave out --color and --depth")
+    return layout
+
+
+def _recognised(folder: Path, gives_folders: bool) -> Layout:
+    candidates = [layout for layout in LAYOUTS if layout.takes_folders or not gives_folders]
+    found = next((layout for layout in candidates if layout.recognises(folder)), None)
+    if found is not None:
+        return found
+    if gives_folders:
+        return bare.LAYOUT
+    raise SequenceError(f"{folder}: {_guess(folder)}")
+
+
+def _guess(folder: Path) -> str:
+    inside = [child for child in sorted(folder.iterdir()) if child.is_dir()]
+    deeper = next((child for child in inside if any(layout.recognises(child) for layout in LAYOUTS)), None)
+    if deeper is not None:
+        return f"is not a recording, but {deeper} looks like one; give that folder"
+    return "is in no layout that 3dvc knows; name it with --layout, or give --color DIR and --depth DIR"

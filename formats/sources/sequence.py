@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: MIT
+"""A recorded sequence as frames: pictures are decoded when asked for, one step ahead of whoever iterates."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import Camera
+from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.sources.images import PictureHeader, read_color, read_depth, read_header, read_mask
+from threedvc.formats.sources.intrinsics import REMEDY
+from threedvc.formats.sources.recording import FrameFiles, Recording
+from threedvc.frame import Frame, SequenceInfo
+
+__all__ = ["FolderSequence"]
+
+Item = TypeVar("Item", bound=np.generic)
+
+READ_AHEAD = 3
+PROBES = 8
+PROBES_WITH_DATA = 3
+PLAUSIBLE_METRES = (0.05, 100.0)
+
+
+class FolderSequence:
+    """Frames of a recording, by index and by iteration, as often as wanted.
+
+    Parameters
+    ----------
+    recording
+        What a layout reader found.
+    max_depth_m
+        Depth beyond this is no measurement; None keeps all.
+    read_ahead
+        Number of frames that a thread decodes ahead of an iteration; 0 decodes in the caller's thread.
+
+    Raises
+    ------
+    SequenceError
+        If a picture is missing, of another kind or size than the cameras say, or depth is empty or implausible.
+        Damage inside a picture raises when its frame is read.
+    ConfigError
+        If `max_depth_m` leaves no depth.
+    """
+
+    def __init__(self, recording: Recording, *, max_depth_m: float | None = None, read_ahead: int = READ_AHEAD) -> None:
+        self._recording = recording
+        self._max_depth_m = max_depth_m
+        self._read_ahead = read_ahead
+        frames = recording.frames
+        channels = _check_headers(recording)
+        self._check_depth()
+        self._info = SequenceInfo(
+            name=recording.folder.resolve().name,
+            rig=recording.rig,
+            depth_scale=recording.depth_scale,
+            fps=recording.fps,
+            frame_count=len(frames),
+            grey=channels == {1},
+            has_camera_poses=all(frame.T_world_camera is not None for frame in frames),
+            has_object_poses=any(frame.T_camera_object for frame in frames),
+            has_masks=all(frame.mask is not None for frame in frames),
+        )
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What holds for every frame; camera poses and masks count only where every frame has one."""
+        return self._info
+
+    def __len__(self) -> int:
+        return len(self._recording.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        position = index + len(self) if index < 0 else index
+        if not 0 <= position < len(self):
+            raise IndexError(f"frame {index} is not one of {len(self)}")
+        files, rig = self._recording.frames[position], self._recording.rig
+        return Frame(
+            index=position,
+            timestamp_ns=files.timestamp_ns,
+            color=_of_size(rig.color, read_color(files.color), files.color),
+            depth=_of_size(rig.depth, self._depth_m(files.depth), files.depth),
+            mask=_of_size(rig.depth, read_mask(files.mask), files.mask) if files.mask else None,
+            T_world_camera=files.T_world_camera,
+            T_camera_object=files.T_camera_object,
+            color_timestamp_ns=files.color_timestamp_ns,
+        )
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self._read_ahead == 0:
+            yield from map(self.__getitem__, range(len(self)))
+            return
+        pending: deque[Future[Frame]] = deque()
+        reader = ThreadPoolExecutor(max_workers=1, thread_name_prefix="threedvc-reader")
+        try:
+            for index in range(len(self)):
+                pending.append(reader.submit(self.__getitem__, index))
+                if len(pending) > self._read_ahead:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            reader.shutdown(cancel_futures=True)
+
+    def _depth_m(self, path: Path) -> NDArray[np.float32]:
+        depth = self._measured_m(path)
+        if self._max_depth_m is not None:
+            depth[depth > self._max_depth_m] = 0
+        return depth
+
+    def _measured_m(self, path: Path) -> NDArray[np.float32]:
+        raw = read_depth(path)
+        depth = np.divide(raw, np.float32(self._recording.depth_scale), dtype=np.float32)
+        if self._recording.invalid_depth is not None:
+            depth[raw == self._recording.invalid_depth] = 0
+        return depth
+
+    def _check_depth(self) -> None:
+        """Look at the depth of a few frames: whether there is any, and whether its scale makes sense."""
+        path, depth = self._probe()
+        nearest, farthest = float(depth.min()), float(depth.max())
+        median = float(np.median(depth))
+        extent = f"{nearest:.4g}..{farthest:.4g} m"
+        if not PLAUSIBLE_METRES[0] <= median <= PLAUSIBLE_METRES[1]:
+            raise SequenceError(
+                f"{path}: depth of {extent} (median {median:.4g} m) is implausible at "
+                f"{self._recording.depth_scale:g} units per metre; give --depth-scale (1000 for millimetres)"
+            )
+        if self._max_depth_m is not None and nearest > self._max_depth_m:
+            raise ConfigError(
+                f"--max-depth {self._max_depth_m:g} m leaves no depth: {path} has {extent}; give a larger value"
+            )
+
+    def _probe(self) -> tuple[Path, NDArray[np.float32]]:
+        """Return the depths in metres, (n,), of the first few probed frames that have any, and the first one's file."""
+        frames = self._recording.frames
+        places = np.unique(np.linspace(0, len(frames) - 1, PROBES).astype(int))
+        found: list[tuple[Path, NDArray[np.float32]]] = []
+        for place in places:
+            # A damaged picture is reported when its frame is read, so that the frames before it can be used.
+            with suppress(SequenceError):
+                depth = self._measured_m(frames[place].depth)
+                if depth.any():
+                    found.append((frames[place].depth, depth[depth > 0]))
+            if len(found) == PROBES_WITH_DATA:
+                break
+        if not found:
+            raise SequenceError(
+                f"{frames[0].depth}: depth is zero everywhere, and in {len(places) - 1} more pictures looked at; "
+                "give the folder of the real depth pictures"
+            )
+        return found[0][0], np.concatenate([depth for _, depth in found])
+
+
+def _of_size(camera: Camera, picture: NDArray[Item], path: Path) -> NDArray[Item]:
+    """Return the picture unless its file was exchanged for one of another size since its header was checked."""
+    height, width = picture.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise SequenceError(
+            f"{path}: is {_pixels((width, height))}, but was {_pixels((camera.width, camera.height))} when the "
+            "recording was opened; open it again"
+        )
+    return picture
+
+
+def _check_headers(recording: Recording) -> set[int]:
+    """Check kind and size of every picture without decoding it; return the channel counts of the colour pictures."""
+    frames, rig = recording.frames, recording.rig
+    colors = _headers([frame.color for frame in frames], (rig.color.width, rig.color.height))
+    depth_size = (rig.depth.width, rig.depth.height)
+    depths = _headers([frame.depth for frame in frames], depth_size)
+    masks = _headers([frame.mask for frame in frames if frame.mask], depth_size)
+    for frame, color, depth in zip(frames, colors, depths, strict=True):
+        _check_kinds(frame, color, depth)
+    for path, mask in zip([frame.mask for frame in frames if frame.mask], masks, strict=True):
+        if (mask.channels, mask.bits, mask.palette) != (1, 8, False):
+            raise SequenceError(f"{path}: mask is {_kind(mask)}, expected 8-bit labels of 1 channel; convert the masks")
+    return {header.channels for header in colors}
+
+
+def _headers(paths: Sequence[Path], size: tuple[int, int]) -> list[PictureHeader]:
+    headers = [read_header(path) for path in paths]
+    for path, header in zip(paths, headers, strict=True):
+        if header.size != headers[0].size:
+            raise SequenceError(
+                f"{path}: is {_pixels(header.size)}, but {paths[0].name} is {_pixels(headers[0].size)}; "
+                "bring all pictures to one size"
+            )
+    if headers and headers[0].size != size:
+        raise SequenceError(
+            f"{paths[0]}: is {_pixels(headers[0].size)}, but the intrinsics are for {_pixels(size)}; "
+            f"{REMEDY} of this size"
+        )
+    return headers
+
+
+def _check_kinds(frame: FrameFiles, color: PictureHeader, depth: PictureHeader) -> None:
+    if color.bits > 8 or color.channels not in (1, 3):
+        raise SequenceError(
+            f"{frame.color}: colour is {_kind(color)}, expected 8-bit grey or RGB; convert the pictures to 8 bits"
+        )
+    if (depth.channels, depth.bits) != (1, 16):
+        raise SequenceError(
+            f"{frame.depth}: depth is {_kind(depth)}, expected 16-bit of 1 channel; convert it to 16-bit PNG"
+        )
+
+
+def _kind(header: PictureHeader) -> str:
+    palette = " with a palette" if header.palette else ""
+    return f"{header.bits}-bit of {header.channels} channel{'s' if header.channels > 1 else ''}{palette}"
+
+
+def _pixels(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"

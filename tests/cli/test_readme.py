@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: MIT
+"""What README.md tells a new user to type works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from threedvc.cli.main import main
+
+README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+COMMANDS = [line.split("#")[0].strip() for line in re.findall(r"^3dvc .*", README, re.MULTILINE)]
+SYNTHESIS, OTHERS = COMMANDS[0], COMMANDS[1:]
+
+
+def block(language: str) -> str:
+    """Return the first block of code in a language."""
+    found = re.search(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the sequence of README.md, made smaller than there."""
+    place = tmp_path_factory.mktemp("readme")
+    arguments = ["synth", str(place / "room"), "--scene", "room", "--frames", "4", "--size", "80x60"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    return place
+
+
+def test_command_that_makes_the_sequence_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *arguments = shlex.split(SYNTHESIS)[1:]
+    command = main.commands[name]
+    context = command.make_context(name, arguments)
+    assert context.params["scene"] == "room"
+
+
+def test_commands_run_in_their_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    for line in OTHERS:
+        result = CliRunner().invoke(main, shlex.split(line)[1:])
+        assert result.exit_code == 0, f"{line}: {result.output}"
+    assert len(list((folder / "decoded" / "color").iterdir())) == 4
+
+
+def test_example_in_python_runs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    exec(compile(block("python"), "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert "4 frames" in lines[0]
+    assert lines[1].startswith("0 (480, 640, 3)")
+    assert 5 < float(lines[-1].split()[0]) < 100
+
+
+def test_options_named_in_tables_exist() -> None:
+    known = {name for command in main.commands.values() for option in command.params for name in option.opts}
+    rows = re.findall(r"^\| `(--[a-z-]+)", README, re.MULTILINE)
+    assert rows
+    assert set(rows) <= known
+    assert isinstance(main, click.Group)

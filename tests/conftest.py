@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT
+"""Fixtures and settings shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+# No deadline, because the first call of a kernel compiles it. In CI the same examples every time; make fuzz asks for more.
+EXAMPLES = int(os.environ.get("THREEDVC_EXAMPLES", "30"))
+settings.register_profile("3dvc", deadline=None, max_examples=EXAMPLES, derandomize="CI" in os.environ, print_blob=True)
+settings.load_profile("3dvc")
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    """Return the top folder of the checkout."""
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Return the folder of recorded sequences; skip where there is none."""
+    folder = Path(os.environ.get("THREEDVC_DATA") or REPOSITORY.parent / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"no recorded sequences at {folder}; set THREEDVC_DATA to their folder")
+    return folder
+
+
+@pytest.fixture
+def sequence_dir(data_dir: Path) -> Callable[[str], Path]:
+    """Return a function from the name of a recorded sequence to its folder; it skips where absent."""
+
+    def find(name: str) -> Path:
+        folder = data_dir / name
+        if not folder.is_dir():
+            pytest.skip(f"sequence {name} is not in {data_dir}")
+        return folder
+
+    return find
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return a random generator that gives the same numbers in every run."""
+    return np.random.default_rng(1995)

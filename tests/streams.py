@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: MIT
+"""Small streams and sequences made of nothing, for tests that need no encoder."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import Camera, CameraRig
+from threedvc.coding.color import ColorSettings
+from threedvc.coding.poses import PoseCoder
+from threedvc.coding.update import encode_update_with_result
+from threedvc.decoder import models_digest
+from threedvc.formats.container import StreamReader, StreamWriter
+from threedvc.frame import Frame, SequenceInfo
+from threedvc.model_update import ModelUpdate
+from threedvc.object_model import DecodedModel
+from threedvc.packets import (
+    BatchHeader,
+    EndHeader,
+    ModelHeader,
+    ObjectHeader,
+    PacketType,
+    PoseHeader,
+    StreamHeader,
+    pack_batch,
+)
+from threedvc.pose import Pose
+from threedvc.report import FrameReport, report_packet
+
+__all__ = ["FRAMES", "INFO", "FakeStream", "ListSequence", "gradient_frame", "packed_stream"]
+
+FRAMES = 4
+CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
+INFO = SequenceInfo(
+    name="gradient", rig=CameraRig.registered_to(CAMERA), depth_scale=1000.0, fps=20.0, frame_count=FRAMES
+)
+PERIOD_NS = 50_000_000
+STEP = 0.001
+REPORTS = [
+    FrameReport(index=index, timestamp_ns=index * PERIOD_NS, status=status, entropy_bits=bits)
+    for index, (status, bits) in enumerate([("known", 400.0), ("tracked", 300.0), ("tracked", 250.0), ("lost", 200.0)])
+]
+
+
+def cells_update(count: int) -> ModelUpdate:
+    """Return an update that adds a row of grey cells to an empty model."""
+    cells = np.zeros((count, 3), dtype=np.int32)
+    cells[:, 0] = np.arange(count)
+    return ModelUpdate(
+        added=cells,
+        added_colors=np.full((count, 3), 90, dtype=np.int16),
+        removed=np.empty((0, 3), dtype=np.int32),
+        recolored=np.empty((0, 3), dtype=np.int32),
+        recolored_colors=np.empty((0, 3), dtype=np.int16),
+    )
+
+
+def packed_stream(*, ended: bool = True, grey: bool = False) -> bytes:
+    """Return a stream of two batches of two frames: object 0 (300 cells) stands, object 1 (125 cells) moves."""
+    sink = io.BytesIO()
+    writer = StreamWriter(sink)
+    camera = (CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 0, 0, 0, 0, 0)
+    stream = StreamHeader(
+        color_camera=camera,
+        depth_scale=1000.0,
+        period_num=PERIOD_NS,
+        translation_step_m=STEP,
+        rotation_step_rad=STEP,
+        name=INFO.name,
+        grey=grey,
+    )
+    writer.write(stream.packet())
+    coder = PoseCoder(STEP, STEP)
+    models = {0: DecodedModel(0.02), 1: DecodedModel(0.01)}
+    first = [
+        ObjectHeader(object_id=0, voxel_size_m=0.02).packet(),
+        ObjectHeader(object_id=1, voxel_size_m=0.01).packet(),
+        ModelHeader(object_id=0, frame=0).packet(_applied(models[0], 300)),
+        ModelHeader(object_id=1, frame=1).packet(_applied(models[1], 125)),
+        PoseHeader(object_id=1, frame=0, count=2).packet(coder.encode([toy_pose(0), toy_pose(1)])),
+    ]
+    writer.write(pack_batch(BatchHeader(frame=0, count=2), first))
+    second = [PoseHeader(object_id=1, frame=2, count=2).packet(coder.encode([toy_pose(2), toy_pose(3)]))]
+    writer.write(pack_batch(BatchHeader(frame=2, count=2), second))
+    if ended:
+        writer.write(report_packet(REPORTS))
+        writer.write(EndHeader(frames=FRAMES, digest=models_digest(models)).packet())
+    return sink.getvalue()
+
+
+def _applied(model: DecodedModel, count: int) -> bytes:
+    cells, colors = model.cells()
+    payload, decoded = encode_update_with_result(cells_update(count), cells, colors, ColorSettings())
+    model.apply(decoded)
+    return payload
+
+
+def toy_pose(index: int) -> Pose:
+    """Return T_camera_object of object 1."""
+    pose = np.eye(4)
+    pose[2, 3] = 1 + 0.05 * index
+    return pose
+
+
+def gradient_frame(index: int, *, brighter: int = 0, farther_mm: int = 0) -> Frame:
+    """Return a frame with a slanted floor, known poses of the camera and of object 1."""
+    rows, columns = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    color = np.stack([rows * 5, columns * 5, rows + columns], axis=-1) + 10 * index + brighter
+    depth = (rows * 50 + 1000 + farther_mm) / 1000
+    camera = np.eye(4)
+    camera[0, 3] = 0.1 * index
+    return Frame(
+        index=index,
+        timestamp_ns=index * PERIOD_NS,
+        color=color.astype(np.uint8),
+        depth=depth.astype(np.float32),
+        T_world_camera=camera,
+        T_camera_object={1: toy_pose(index)},
+    )
+
+
+@dataclass
+class ListSequence:
+    """A sequence of frames in memory."""
+
+    frames: list[Frame] = field(default_factory=lambda: [gradient_frame(index) for index in range(FRAMES)])
+    info: SequenceInfo = INFO
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.frames[index]
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)
+
+
+@dataclass(frozen=True)
+class FakeDecodedFrame:
+    """Stands for a decoded frame."""
+
+    index: int
+    timestamp_ns: int
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+    T_world_camera: Pose
+    T_camera_object: Mapping[int, Pose]
+
+
+class FakeStream:
+    """Stands for an opened stream: reads the real packets and draws gradients instead of models."""
+
+    changes: Mapping[str, int] = {}
+
+    def __init__(self, source: Any, **choices: Any) -> None:
+        self.choices = choices
+        self.info = INFO
+        self._reader = StreamReader(source if hasattr(source, "read") else open(source, "rb"), str(source))
+
+    def __iter__(self) -> Iterator[FakeDecodedFrame]:
+        for packet in self._reader:
+            if packet.type == PacketType.BATCH:
+                header = BatchHeader.from_map(packet.header)
+                yield from (self._drawn(index) for index in range(header.frame, header.frame + header.count))
+
+    def _drawn(self, index: int) -> FakeDecodedFrame:
+        frame = gradient_frame(index, **self.changes)
+        assert frame.T_world_camera is not None
+        return FakeDecodedFrame(
+            index=index,
+            timestamp_ns=frame.timestamp_ns,
+            color=frame.color,
+            depth=frame.depth,
+            labels=np.zeros(frame.depth.shape, dtype=np.uint8),
+            T_world_camera=frame.T_world_camera,
+            T_camera_object=frame.T_camera_object,
+        )

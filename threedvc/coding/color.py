@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""Lossy coding of cell colours: a hierarchical transform with prediction, level by level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.coding.mixer import new_mixer
+from threedvc.coding.octree import Neighborhood, Octree, children_of
+from threedvc.coding.range_coder import RangeReader, RangeWriter, new_counters
+from threedvc.errors import ConfigError, CorruptStream
+from threedvc.kernels.color_coding import COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS, Quantiser, code_colors
+from threedvc.kernels.color_transform import FRACTION_BITS, ColorLevel, from_luma_chroma, sum_children, to_luma_chroma
+from threedvc.kernels.entropy import NUMBER_COUNTERS
+from threedvc.kernels.octree import BIT_COUNTS
+
+__all__ = ["ColorSettings", "code_cell_colors"]
+
+STEP_BITS = 4
+MAX_STEP = 255.0
+BYTES_PER_COEFFICIENT = 32
+PRICE = 30
+MIDDLE_GREY = 128 << FRACTION_BITS
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorSettings:
+    """How finely colours are coded.
+
+    Attributes
+    ----------
+    luma_step, chroma_step
+        Quantisation steps in grey levels, 1/16 to 255; coded in sixteenths.
+    grey
+        Whether there is luma alone.
+    """
+
+    luma_step: float = 24.0
+    chroma_step: float = 36.0
+    grey: bool = False
+
+    def __post_init__(self) -> None:
+        for step in (self.luma_step, self.chroma_step):
+            if not 2**-STEP_BITS <= step <= MAX_STEP:
+                raise ConfigError(f"colour step {step} must be within {2**-STEP_BITS}..{MAX_STEP}")
+
+    @property
+    def channels(self) -> int:
+        """Number of coded channels."""
+        return 1 if self.grey else 3
+
+    def code(self, coder: RangeWriter | RangeReader) -> ColorSettings:
+        """Code the settings; return them as the decoder sees them."""
+        counters = new_counters(NUMBER_COUNTERS)
+        grey = bool(coder.bit(self.grey))
+        luma = coder.number(round(self.luma_step * 2**STEP_BITS), counters)
+        chroma = luma if grey else coder.number(round(self.chroma_step * 2**STEP_BITS), counters)
+        if not (1 <= luma <= MAX_STEP * 2**STEP_BITS and 1 <= chroma <= MAX_STEP * 2**STEP_BITS):
+            raise CorruptStream(f"colour steps {luma}/16, {chroma}/16 are out of range; the stream is damaged")
+        return ColorSettings(luma_step=luma / 2**STEP_BITS, chroma_step=chroma / 2**STEP_BITS, grey=grey)
+
+    def steps(self) -> NDArray[np.int64]:
+        """Return the steps per channel in fixed point."""
+        steps = [self.luma_step, self.chroma_step, self.chroma_step][: self.channels]
+        return np.array([round(step * 2**FRACTION_BITS) for step in steps], dtype=np.int64)
+
+
+class _MeanTree:
+    """Mean colours and weights of all nodes of an octree; `means[k]` belongs to the nodes of level k, the last to the cells."""
+
+    def __init__(self, tree: Octree, colors: NDArray[np.int16], channels: int) -> None:
+        values = np.empty((len(colors), 3), dtype=np.int64)
+        to_luma_chroma(colors, values)
+        sums, weights = values[:, :channels].copy(), np.ones(len(values), dtype=np.int64)
+        self.means, self.weights = [sums], [weights]
+        for level in reversed(tree.levels):
+            child_sums, child_weights = sums, weights
+            sums = np.empty((len(level.codes), channels), dtype=np.int64)
+            weights = np.empty(len(level.codes), dtype=np.int64)
+            sum_children(level.masks, child_sums, child_weights, sums, weights)
+            self.means.insert(0, (2 * sums + weights[:, None]) // (2 * weights[:, None]))
+            self.weights.insert(0, weights)
+
+
+def code_cell_colors(
+    coder: RangeWriter | RangeReader,
+    tree: Octree,
+    colors: NDArray[np.int16],
+    state: Octree,
+    state_colors: NDArray[np.int16],
+    settings: ColorSettings,
+) -> NDArray[np.int16]:
+    """Code the colours of cells that both sides know.
+
+    Parameters
+    ----------
+    coder
+        Where to write to or to read from.
+    tree
+        The cells.
+    colors
+        (n, 3) int16 RGB of the cells in the order of `tree`; of no meaning when reading.
+    state, state_colors
+        Tree and (m, 3) int16 RGB of the state before, for prediction.
+    settings
+        Steps.
+
+    Returns
+    -------
+    colors
+        (n, 3) int16 RGB as decoded.
+
+    Raises
+    ------
+    CorruptStream
+        If the data end too early.
+    """
+    channels = settings.channels
+    true, known = _MeanTree(tree, colors, channels), _MeanTree(state, state_colors, channels)
+    mixer = new_mixer(COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS)
+    quantiser = Quantiser(settings.steps(), PRICE, new_counters(channels * NUMBER_COUNTERS))
+    own, beside = Neighborhood(True), Neighborhood(len(state.codes) > 0)
+    means = _code_root(coder, true.means[0], known.means[0], int(true.weights[0][0]), quantiser)
+    parents, parent_energy = np.zeros(1, dtype=np.int32), np.zeros((1, channels), dtype=np.int32)
+    for number, level in enumerate(tree.levels):
+        count = int(BIT_COUNTS[level.masks].sum())
+        near = own.near
+        own.descend(level, level, count)
+        beside.descend(level, state.levels[number], count)
+        stage = ColorLevel(
+            masks=level.masks,
+            first=level.first,
+            parents=parents,
+            means=means,
+            energy=np.zeros((len(level.masks), channels), dtype=np.int32),
+            parent_energy=parent_energy,
+            near=near,
+            child_weights=true.weights[number + 1],
+            child_means=np.zeros((count, channels), dtype=np.int64),
+            true_means=true.means[number + 1],
+            child_near=own.near,
+            state_means=known.means[number + 1],
+            state_near=beside.near,
+        )
+        coder.reserve(BYTES_PER_COEFFICIENT * channels * count)
+        if not code_colors(coder.coder, mixer, quantiser, stage, len(tree.levels) - 1 - number):
+            raise CorruptStream("the colours of a model update end too early; the stream is damaged")
+        means, parent_energy = stage.child_means, stage.energy
+        parents = children_of(level)[1]
+    decoded = np.empty((len(means), 3), dtype=np.int16)
+    from_luma_chroma(np.pad(means, ((0, 0), (0, 3 - channels))), decoded)
+    return decoded
+
+
+def _code_root(
+    coder: RangeWriter | RangeReader,
+    true: NDArray[np.int64],
+    known: NDArray[np.int64],
+    weight: int,
+    quantiser: Quantiser,
+) -> NDArray[np.int64]:
+    """Code the mean colour (1, channels) of all cells, predicted by that of the state."""
+    guess = known[0] if len(known) else np.array([MIDDLE_GREY, 0, 0], dtype=np.int64)[: true.shape[1]]
+    counters = new_counters(NUMBER_COUNTERS)
+    means = np.empty_like(true)
+    for channel, step in enumerate(quantiser.steps.tolist()):
+        fine = max(1, step // weight.bit_length())
+        value = round((int(true[0, channel]) - int(guess[channel])) / fine)
+        means[0, channel] = int(guess[channel]) + coder.signed(value, counters) * fine
+    return means

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: MIT
+"""The decoder: packets in, models and poses out, frame by frame.
+
+Drawing is apart (`threedvc.rendering`): a decoder that only follows the models, or checks them, draws
+nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from threedvc.camera import Camera, CameraRig
+from threedvc.coding.poses import PoseCoder
+from threedvc.coding.update import decode_update
+from threedvc.errors import ConfigError, CorruptStream, TruncatedStream
+from threedvc.object_model import DecodedModel
+from threedvc.packets import (
+    BatchHeader,
+    ClockHeader,
+    EndHeader,
+    ModelHeader,
+    ObjectHeader,
+    Packet,
+    PacketType,
+    PoseHeader,
+    StreamHeader,
+    check_supported,
+    unpack_batch,
+)
+from threedvc.pose import Pose, compose, identity, inverse, make_pose
+from threedvc.report import StreamReport, unpack_report
+from threedvc.wire import ByteReader
+
+__all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "rig_of"]
+
+DIGEST_BYTES = 16
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameState:
+    """Where everything is in one frame.
+
+    Attributes
+    ----------
+    index, timestamp_ns
+        Which frame.
+    T_world_camera
+        Pose of the depth camera.
+    T_camera_object
+        Pose of every object that has appeared, by number; 0 is the background.
+    """
+
+    index: int
+    timestamp_ns: int
+    T_world_camera: Pose
+    T_camera_object: Mapping[int, Pose]
+
+
+def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
+    """Turn the poses that the stream carries into T_camera_object.
+
+    Object 0 carries T_camera_world, every other object T_world_object, so that what rests in the room
+    costs nothing while the camera moves.
+    """
+    T_camera_world = scripts.get(0, identity())
+    return {number: compose(T_camera_world, pose) if number else pose for number, pose in scripts.items()}
+
+
+def models_digest(models: Mapping[int, DecodedModel]) -> bytes:
+    """Return the digest of all models that END carries (16 bytes)."""
+    state = hashlib.sha256()
+    for number in sorted(models):
+        state.update(number.to_bytes(4, "little") + models[number].digest())
+    return state.digest()[:DIGEST_BYTES]
+
+
+def rig_of(header: StreamHeader) -> CameraRig:
+    """Return the cameras of a stream.
+
+    Raises
+    ------
+    CorruptStream
+        If they are impossible.
+    """
+    try:
+        color = _camera(header.color_camera)
+        depth = _camera(header.depth_camera) if header.depth_camera else color
+        T = identity()
+        if header.T_color_depth:
+            rows = np.array(header.T_color_depth, dtype=np.float64).reshape(3, 4)
+            T = make_pose(rows[:, :3], rows[:, 3])
+        return CameraRig(color=color, depth=depth, T_color_depth=T)
+    except ConfigError as error:
+        raise CorruptStream(f"STREAM header: {error}") from None
+
+
+def _camera(values: tuple[float, ...]) -> Camera:
+    width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3 = values
+    return Camera(
+        width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2, k3)
+    )  # fmt: skip
+
+
+class Decoder:
+    """Applies packets; the same class checks the encoder's own output.
+
+    Attributes
+    ----------
+    header
+        The STREAM header, once it came.
+    models
+        Decoded models by object number, as of the frame last yielded.
+    report
+        What the encoder told about its work; empty if the stream does not say.
+    frame_count
+        Frames that the stream has conveyed so far.
+    complete
+        Whether END came and its digest was right.
+    """
+
+    def __init__(self) -> None:
+        self.header: StreamHeader | None = None
+        self.models: dict[int, DecodedModel] = {}
+        self.report = StreamReport(entropy_bits=(), status=())
+        self.frame_count = 0
+        self.complete = False
+        self._coders: dict[int, PoseCoder] = {}
+        self._next_coded: dict[int, int] = {}
+        self._scripts: dict[int, Pose] = {}
+        self._corrections: dict[int, int] = {}
+
+    def frames(self, packets: Iterable[Packet]) -> Iterator[FrameState]:
+        """Yield the state of every frame, in order; `models` is up to date whenever one is yielded.
+
+        Raises
+        ------
+        CorruptStream
+            If packets contradict each other or the digest in END is not that of the decoded models.
+        TruncatedStream
+            If the packets stop before END, after all complete frames were yielded.
+        """
+        for packet in packets:
+            if packet.type == PacketType.STREAM:
+                self._begin(StreamHeader.from_map(packet.header))
+            elif packet.type == PacketType.BATCH:
+                yield from self._batch(packet)
+            elif packet.type == PacketType.END:
+                yield from self._end(EndHeader.from_map(packet.header))
+                return
+            elif packet.type == PacketType.META:
+                self._tell(packet)
+        raise TruncatedStream(f"the stream ends after {self.frame_count} frames, before its END packet")
+
+    def _begin(self, header: StreamHeader) -> None:
+        if self.header is not None:
+            raise CorruptStream("the stream has two STREAM packets")
+        check_supported(header)
+        self.header = header
+
+    def _batch(self, packet: Packet) -> Iterator[FrameState]:
+        header = BatchHeader.from_map(packet.header)
+        if self.header is None or header.frame < self.frame_count:
+            raise CorruptStream(f"the BATCH of frame {header.frame} comes after {self.frame_count} frames or before STREAM")
+        yield from self._still_frames(header.frame)
+        stop = header.frame + header.count
+        todo: dict[int, list[Callable[[], None]]] = {}
+        for member in unpack_batch(packet):
+            for frame, action in self._actions(member):
+                if not header.frame <= frame < stop:
+                    raise CorruptStream(f"a packet of frame {frame} stands in the BATCH of frames {header.frame}..{stop - 1}")
+                todo.setdefault(frame, []).append(action)
+        for frame in range(header.frame, stop):
+            for action in todo.get(frame, ()):
+                action()
+            yield self._state(frame)
+
+    def _actions(self, packet: Packet) -> Iterator[tuple[int, Callable[[], None]]]:
+        """Yield what a packet does, and before which frame; pose payloads are decoded at once."""
+        if packet.type == PacketType.OBJECT:
+            self._appear(ObjectHeader.from_map(packet.header))
+        elif packet.type == PacketType.MODEL:
+            model = ModelHeader.from_map(packet.header)
+            yield model.frame, lambda: self._update(model.object_id, packet.payload)
+        elif packet.type == PacketType.POSE:
+            header = PoseHeader.from_map(packet.header)
+            for step, pose in enumerate(self._poses(header, packet.payload)):
+                yield header.frame + step, lambda pose=pose: self._move(header.object_id, pose)  # type: ignore[misc]
+        elif packet.type == PacketType.CLOCK:
+            self._correct_clock(ClockHeader.from_map(packet.header), packet.payload)
+        elif packet.type == PacketType.META:
+            self._tell(packet)
+
+    def _tell(self, packet: Packet) -> None:
+        told = unpack_report(packet)
+        if told is not None:
+            self.report = StreamReport(
+                entropy_bits=self.report.entropy_bits + told.entropy_bits, status=self.report.status + told.status
+            )
+
+    def _appear(self, header: ObjectHeader) -> None:
+        if header.object_id in self.models:
+            raise CorruptStream(f"object {header.object_id} is introduced twice")
+        assert self.header is not None
+        self.models[header.object_id] = DecodedModel(header.voxel_size_m)
+        self._coders[header.object_id] = PoseCoder(self.header.translation_step_m, self.header.rotation_step_rad)
+        self._scripts[header.object_id] = identity()
+
+    def _update(self, number: int, payload: bytes) -> None:
+        model = self._known(number)
+        model.apply(decode_update(payload, *model.cells()))
+
+    def _poses(self, header: PoseHeader, payload: bytes) -> list[Pose]:
+        self._known(header.object_id)
+        coder = self._coders[header.object_id]
+        if header.frame != self._next_coded.get(header.object_id):
+            coder.hold()
+        self._next_coded[header.object_id] = header.frame + header.count
+        return list(coder.decode(payload, header.count))
+
+    def _move(self, number: int, pose: Pose) -> None:
+        self._scripts[number] = pose
+
+    def _known(self, number: int) -> DecodedModel:
+        if number not in self.models:
+            raise CorruptStream(f"a packet names object {number}, which was not introduced")
+        return self.models[number]
+
+    def _correct_clock(self, header: ClockHeader, payload: bytes) -> None:
+        reader = ByteReader(payload)
+        for step in range(header.count):
+            self._corrections[header.frame + step] = reader.signed_varint()
+
+    def _still_frames(self, stop: int) -> Iterator[FrameState]:
+        for frame in range(self.frame_count, stop):
+            yield self._state(frame)
+
+    def _state(self, frame: int) -> FrameState:
+        assert self.header is not None
+        nominal = self.header.start_ns + frame * self.header.period_num // self.header.period_den
+        self.frame_count = frame + 1
+        poses = camera_poses(self._scripts)
+        return FrameState(
+            index=frame,
+            timestamp_ns=nominal + self._corrections.pop(frame, 0),
+            T_world_camera=inverse(self._scripts.get(0, identity())),
+            T_camera_object=poses,
+        )
+
+    def _end(self, header: EndHeader) -> Iterator[FrameState]:
+        if self.header is None or header.frames < self.frame_count:
+            raise CorruptStream(f"END tells of {header.frames} frames, the stream conveyed {self.frame_count}")
+        yield from self._still_frames(header.frames)
+        if models_digest(self.models) != header.digest:
+            raise CorruptStream("the digest of the decoded models differs from the one in END; the decoder has drifted")
+        self.complete = True

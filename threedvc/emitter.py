@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: MIT
+"""Packets of a scene: what the decoder lacks, group by group.
+
+The emitter holds a decoder's state: models as decoded, poses as quantised. A model update is the
+difference between what is to be seen and that state; a group without difference has no packet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from threedvc.camera import Camera
+from threedvc.coding.color import ColorSettings
+from threedvc.coding.poses import PoseCoder
+from threedvc.coding.update import encode_update_with_result
+from threedvc.config import EncoderConfig
+from threedvc.decoder import models_digest
+from threedvc.frame import NANOSECONDS, SequenceInfo
+from threedvc.model_update import ModelUpdate
+from threedvc.object_model import DecodedModel
+from threedvc.packets import (
+    BatchHeader,
+    ClockHeader,
+    EndHeader,
+    ModelHeader,
+    ObjectHeader,
+    Packet,
+    PoseHeader,
+    StreamHeader,
+    pack_batch,
+)
+from threedvc.pose import Pose, compose, inverse
+from threedvc.readout import Surface, changes, first_sights, read_surface
+from threedvc.report import FrameReport, report_packet
+from threedvc.scene import Scene, SceneObject
+from threedvc.wire import pack_signed_varint
+
+__all__ = ["Emitter"]
+
+MAX_STILL_GAP = 2
+
+
+class _Sent:
+    """What the decoder has of one object."""
+
+    def __init__(self, item: SceneObject, config: EncoderConfig) -> None:
+        self.item = item
+        self.model = DecodedModel(item.evidence.voxel_size_m)
+        self.coder = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
+        self.pose: Pose = np.eye(4)
+        self.next_coded: int | None = None
+        self.final: Surface | None = None
+
+
+class Emitter:
+    """Turns a scene into packets.
+
+    Parameters
+    ----------
+    scene
+        The scene; a live encoder adds frames to it between groups.
+    config
+        Choices.
+    """
+
+    def __init__(self, scene: Scene, config: EncoderConfig) -> None:
+        self._scene, self._config, self._info = scene, config, scene.info
+        self._sent: dict[int, _Sent] = {}
+        self._color = ColorSettings(
+            luma_step=config.color.luma_step, chroma_step=config.color.chroma_step, grey=scene.info.grey
+        )
+        self._clock = _clock(scene.info)
+        self._world: list[Pose] = []
+
+    @property
+    def digest(self) -> bytes:
+        """Digest of the decoded models so far."""
+        return models_digest({number: sent.model for number, sent in self._sent.items()})
+
+    def stream(self) -> Packet:
+        """Return the STREAM packet."""
+        info, rig = self._info, self._info.rig
+        return StreamHeader(
+            color_camera=_camera_record(rig.color),
+            depth_camera=() if rig.depth == rig.color else _camera_record(rig.depth),
+            T_color_depth=() if np.array_equal(rig.T_color_depth, np.eye(4)) else tuple(rig.T_color_depth[:3].ravel().tolist()),
+            depth_scale=info.depth_scale,
+            start_ns=self._scene.timestamps[0],
+            period_num=self._clock[0],
+            period_den=self._clock[1],
+            translation_step_m=self._config.pose.translation_step_m,
+            rotation_step_rad=self._config.pose.rotation_step_rad,
+            grey=info.grey,
+            given_world=info.has_camera_poses,
+            name=info.name,
+        ).packet()
+
+    def group(self, first: int, stop: int, reports: Sequence[FrameReport], *, last: bool) -> Packet | None:
+        """Return the BATCH of frames ``first..stop``, or None if nothing changes in them.
+
+        Parameters
+        ----------
+        first, stop
+            Frames of the group; the scene has taken in all of them.
+        reports
+            What to tell about them; empty: nothing.
+        last
+            Whether no frame follows: the batch then holds every cell that is still due.
+        """
+        members = list(self._clock_packets(first, stop))
+        for number in sorted(self._scene.objects):
+            members += self._object(number, first, stop, last)
+        if reports:
+            members.append(report_packet(reports))
+        return pack_batch(BatchHeader(frame=first, count=stop - first), members) if members else None
+
+    def end(self) -> Packet:
+        """Return the END packet."""
+        return EndHeader(frames=len(self._scene.timestamps), digest=self.digest).packet()
+
+    def _object(self, number: int, first: int, stop: int, last: bool) -> Iterator[Packet]:
+        item = self._scene.objects[number]
+        if number not in self._sent:
+            if item.born is None or item.born >= stop:
+                if number == 0:
+                    self._world = [np.eye(4)] * (stop - first)
+                return
+            self._sent[number] = _Sent(item, self._config)
+            yield ObjectHeader(object_id=number, voxel_size_m=item.evidence.voxel_size_m).packet()
+        sent = self._sent[number]
+        update = self._update(sent, None if last else stop)
+        if not update.empty:
+            payload, decoded = encode_update_with_result(update, *sent.model.cells(), self._color)
+            sent.model.apply(decoded)
+            yield ModelHeader(object_id=number, frame=first).packet(payload)
+        yield from self._poses(sent, first, stop)
+
+    def _update(self, sent: _Sent, until_frame: int | None) -> ModelUpdate:
+        if self._config.causal:
+            return changes(sent.item.evidence, sent.model, self._config.threads)
+        if sent.final is None:
+            sent.final = read_surface(sent.item.evidence, self._config.threads)
+        return first_sights(sent.final, sent.model, until_frame)
+
+    def _poses(self, sent: _Sent, first: int, stop: int) -> Iterator[Packet]:
+        """Yield a packet for every run of frames in which the object moves."""
+        script = [self._script(sent.item, frame, first) for frame in range(first, stop)]
+        decoded: list[Pose] = []
+        for start, end in _runs(self._moving(sent, script)):
+            if sent.next_coded != first + start:
+                sent.coder.hold()
+            payload = sent.coder.encode(script[start:end])
+            sent.next_coded = first + end
+            decoded += [sent.pose] * (start - len(decoded)) + list(sent.coder.decoded)
+            sent.pose = decoded[-1]
+            yield PoseHeader(object_id=sent.item.number, frame=first + start, count=end - start).packet(payload)
+        if sent.item.number == 0:
+            self._world = decoded + [sent.pose] * (stop - first - len(decoded))
+
+    def _script(self, item: SceneObject, frame: int, first: int) -> Pose:
+        """Return the pose that the stream carries for an object, against the background as decoded."""
+        pose = item.poses[frame]
+        return compose(inverse(self._world[frame - first]), pose) if item.number else pose
+
+    def _moving(self, sent: _Sent, script: Sequence[Pose]) -> list[bool]:
+        """Tell in which frames an object's pose differs from the one before by a quantisation step."""
+        steps = self._config.pose
+        moving: list[bool] = []
+        last: Pose | None = None
+        for pose in script:
+            if last is None:
+                still = sent.coder.repeats(pose)
+            else:
+                shift, turn = pose[:3, 3] - last[:3, 3], pose[:3, :3] - last[:3, :3]
+                still = 2 * np.abs(shift).max() < steps.translation_step_m and np.abs(turn).max() < steps.rotation_step_rad
+            moving.append(not still)
+            last = last if still else pose
+        return moving
+
+    def _clock_packets(self, first: int, stop: int) -> Iterator[Packet]:
+        start = self._scene.timestamps[0]
+        nominal = [start + frame * self._clock[0] // self._clock[1] for frame in range(first, stop)]
+        off = [stamp - due for stamp, due in zip(self._scene.timestamps[first:stop], nominal, strict=True)]
+        if any(off):
+            yield ClockHeader(frame=first, count=stop - first).packet(b"".join(map(pack_signed_varint, off)))
+
+
+def _runs(moving: Sequence[bool]) -> list[tuple[int, int]]:
+    """Return the ranges of moving frames; rests of up to two frames do not divide them."""
+    runs: list[tuple[int, int]] = []
+    for frame, moves in enumerate(moving):
+        if not moves:
+            continue
+        if runs and frame - runs[-1][1] <= MAX_STILL_GAP:
+            runs[-1] = (runs[-1][0], frame + 1)
+        else:
+            runs.append((frame, frame + 1))
+    return runs
+
+
+def _camera_record(camera: Camera) -> tuple[float, ...]:
+    return (camera.width, camera.height, *camera.parameters().tolist())
+
+
+def _clock(info: SequenceInfo) -> tuple[int, int]:
+    """Return the frame period in nanoseconds as a fraction."""
+    period = NANOSECONDS / Fraction(info.fps).limit_denominator(100_000)
+    return period.numerator, period.denominator

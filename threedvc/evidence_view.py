@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""The evidence as seen from a pose, and a frame in the same form: the two sides of registration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import Camera, CameraRig
+from threedvc.frame import Frame
+from threedvc.kernels.raycast_evidence import cast_evidence
+from threedvc.object_model import EvidenceModel
+from threedvc.parallel import for_ranges
+from threedvc.pose import Pose
+from threedvc.ray_grid import RayGrid, cells_from_camera
+from threedvc.registration import ModelView
+
+__all__ = ["Thinned", "cast_view"]
+
+TRACKING_PIXELS = 120_000
+LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+
+
+class Thinned:
+    """A frame's depth, luma and masks at every n-th pixel, which track as well as all of them.
+
+    Parameters
+    ----------
+    rig
+        Cameras of the frames.
+    """
+
+    def __init__(self, rig: CameraRig) -> None:
+        self.rig = rig
+        full = rig.depth
+        self.stride = 1
+        while full.width * full.height > TRACKING_PIXELS * self.stride**2:
+            self.stride += 1
+        n = self.stride
+        self.camera: Camera = replace(
+            full, width=-(-full.width // n), height=-(-full.height // n), fx=full.fx / n, fy=full.fy / n,
+            cx=full.cx / n, cy=full.cy / n,
+        )  # fmt: skip
+        self.grid = RayGrid(self.camera)
+        self._slopes = full.rays()
+
+    def thin(self, picture: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Return every n-th pixel of a picture of the depth camera."""
+        return np.ascontiguousarray(picture[:: self.stride, :: self.stride])
+
+    def luma(self, frame: Frame) -> NDArray[np.float32]:
+        """Return the luma (h, w) seen at the thinned depth pixels, NaN where it is not known."""
+        luma = frame.color.astype(np.float32) @ LUMA
+        if self.stride > 1:
+            luma = cv2.blur(luma, (self.stride, self.stride))
+        if self.rig.registered:
+            return np.asarray(self.thin(luma), dtype=np.float32)
+        return self._warped(luma, frame.depth)
+
+    def _warped(self, luma: NDArray[np.float32], depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Look the luma up where the depth camera's points appear in the colour camera."""
+        z = np.asarray(self.thin(depth), dtype=np.float64)
+        slopes = self._slopes[:: self.stride, :: self.stride]
+        points = np.concatenate([slopes * z[..., None], z[..., None]], axis=-1)
+        T = self.rig.T_color_depth
+        moved = points @ T[:3, :3].T + T[:3, 3]
+        valid = (z > 0) & (moved[..., 2] > 0.01)
+        moved[~valid] = (0.0, 0.0, 1.0)
+        pixels = self.rig.color.project(moved).astype(np.float32)
+        seen = cv2.remap(
+            luma, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+        )
+        return np.where(valid, seen, np.float32(np.nan))
+
+
+def cast_view(model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, threads: int) -> ModelView:
+    """Cast the evidence at a pose into the thinned depth camera."""
+    camera, grid = thinned.camera, thinned.grid
+    count = camera.width * camera.height
+    depth, intensity = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    normals = np.zeros((count, 3), np.float32)
+    T = cells_from_camera(T_camera_object, model.voxel_size_m)
+    near, far = grid.ranges(model.index, T_camera_object, model.voxel_size_m)
+
+    def rays(start: int, stop: int) -> None:
+        cast_evidence(
+            grid.slopes, start, stop, T, grid.origin, grid.size, near, far, model.voxel_size_m, model.index.tables,
+            model.distance.reshape(-1), model.distance_weight.reshape(-1), model.color.reshape(-1, 3),
+            model.color_weight.reshape(-1), depth, normals, intensity,
+        )  # fmt: skip
+
+    for_ranges(rays, count, threads)
+    shape = (camera.height, camera.width)
+    return ModelView(
+        camera=camera,
+        T_camera_object=T_camera_object,
+        depth=depth.reshape(shape),
+        normals=normals.reshape(*shape, 3),
+        intensity=intensity.reshape(shape),
+    )

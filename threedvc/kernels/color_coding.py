@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: MIT
+"""Quantisation and entropy coding of the transformed colours of one level, compiled.
+
+The same traversal writes and reads. When it writes, it also chooses every quantised value so that
+squared error plus a price on bits is smallest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.kernels import kernel
+from threedvc.kernels.color_transform import (
+    ColorLevel,
+    load_children,
+    merge_pairs,
+    predict_child,
+    split_pairs,
+    step_of_pair,
+    store_children,
+)
+from threedvc.kernels.entropy import NUMBER_COUNTERS, READING, Coder, code_bit, code_number, overrun
+from threedvc.kernels.mixing import Mixer, code_mixed_bit, hash_pair, mixed_log_odds, squash
+
+__all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "Quantiser", "code_colors"]
+
+COLOR_MODELS = 7
+COLOR_SETS = 2
+COLOR_WEIGHT_ROWS = 128
+ESCAPE_MAGNITUDE = 6
+MAX_ENERGY = 1000
+MAX_QUANTISED = 1 << 22
+NUMBER_LIMIT = 255
+
+
+class Quantiser(NamedTuple):
+    """How coefficients are quantised and coded.
+
+    Attributes
+    ----------
+    steps
+        (channels,) int64 steps of the orthonormal transform, in units of 2^-FRACTION_BITS grey levels.
+    price
+        The writer's price of a bit, in units of step^2 / 256.
+    counters
+        (channels * NUMBER_COUNTERS,) uint32 for large magnitudes.
+    """
+
+    steps: NDArray[np.int64]
+    price: int
+    counters: NDArray[np.uint32]
+
+
+class Block(NamedTuple):
+    """The children of one node: eight places times channels, all int64.
+
+    Place 0 is the node's mean, places 1..7 are the differences of `merge_pairs`.
+    """
+
+    predicted: NDArray[np.int64]
+    true: NDArray[np.int64]
+    decoded: NDArray[np.int64]
+    quantised: NDArray[np.int64]
+    weights: NDArray[np.int64]
+    left: NDArray[np.int64]
+    right: NDArray[np.int64]
+
+
+@kernel
+def bit_length(value: int) -> int:
+    """Return the number of bits of a number without leading zeros."""
+    length = np.int64(0)
+    while value > 0:
+        value >>= 1
+        length += 1
+    return length
+
+
+@kernel
+def energy_around(level: ColorLevel, node: int, channel: int) -> int:
+    """Sum the magnitudes coded at the parent (twice) and at earlier neighbours of a node."""
+    total = 2 * np.int64(level.parent_energy[level.parents[node], channel])
+    for d in range(27):
+        other = level.near[node, d]
+        if 0 <= other < node:
+            total += level.energy[other, channel]
+    return total
+
+
+@kernel
+def set_contexts(
+    mixer: Mixer, block: Block, place: int, channel: int, height: int, around: int, slope: int, prefix: int
+) -> None:
+    """Set the contexts of the decision whether a magnitude goes beyond `prefix`."""
+    inside = np.int64(0)
+    for other in range(1, 8):
+        inside += abs(block.quantised[other, channel])
+    inside = min(inside, 3)
+    luma = min(abs(block.quantised[place, 0]), 3) if channel > 0 else np.int64(0)
+    chroma = min(abs(block.quantised[place, 1]), 3) if channel > 1 else np.int64(0)
+    a, b = block.left[place], block.right[place]
+    size = min(bit_length(a * b // (a + b)), 15)
+    skew = min(bit_length(max(a, b) // min(a, b)), 7)
+    wide = bit_length(around)
+    what = channel * 8 + prefix
+    kind = hash_pair(what, bit_length(place))
+    contexts = mixer.contexts
+    contexts[0] = hash_pair(kind, height)
+    contexts[1] = hash_pair(kind, min(around, 12))
+    contexts[2] = hash_pair(kind, inside * 16 + luma * 4 + chroma)
+    contexts[3] = hash_pair(hash_pair(kind, size * 8 + skew), height)
+    contexts[4] = hash_pair(kind, slope)
+    contexts[5] = hash_pair(what, wide * 64 + inside * 16 + luma * 4 + chroma)
+    contexts[6] = hash_pair(what, (min(slope, 7) * 16 + wide) * 8 + min(height, 7))
+    mixer.selectors[0] = what
+    mixer.selectors[1] = min(height, 7) * 8 + min(wide, 7)
+
+
+@kernel
+def choose_quantised(residual: int, step: int, log_odds: int, price: int) -> int:
+    """Return the quantised value of least squared error plus price times estimated bits.
+
+    `log_odds` are those of a value other than zero.
+    """
+    ratio = np.float64(abs(residual)) / np.float64(step)
+    nearest = np.int64(np.floor(ratio + 0.5))
+    if nearest == 0:
+        return np.int64(0)
+    odds = squash(log_odds) / 65536.0
+    per_bit = price / 256.0
+    best = np.int64(0)
+    least = ratio * ratio - per_bit * np.log2(1 - odds)
+    for m in range(max(1, nearest - 1), nearest + 1):
+        bits = 1 - np.log2(odds) + min(1.5 * (m - 1), 2 + 2 * np.log2(float(m)))
+        cost = (ratio - m) * (ratio - m) + per_bit * bits
+        if cost < least:
+            least = cost
+            best = np.int64(m)
+    return -best if residual < 0 else best
+
+
+@kernel
+def code_coefficient(
+    coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, node: int, height: int, block: Block, place: int, channel: int
+) -> None:
+    """Code one difference of a block: set its quantised and its decoded value."""
+    step = step_of_pair(quantiser.steps[channel], block.left[place], block.right[place])
+    guess = block.predicted[place, channel]
+    slope = min(4 * abs(guess) // step, 15)
+    around = energy_around(level, node, channel)
+    value = np.int64(0)
+    if coder.state[READING] == 0:
+        set_contexts(mixer, block, place, channel, height, around, slope, 0)
+        value = choose_quantised(block.true[place, channel] - guess, step, mixed_log_odds(mixer), quantiser.price)
+    magnitude = np.int64(0)
+    while magnitude < ESCAPE_MAGNITUDE:
+        set_contexts(mixer, block, place, channel, height, around, slope, magnitude)
+        if code_mixed_bit(coder, 1 if abs(value) > magnitude else 0, mixer) == 0:
+            break
+        magnitude += 1
+    if magnitude == ESCAPE_MAGNITUDE:
+        rest = code_number(coder, abs(value) - magnitude, quantiser.counters, channel * NUMBER_COUNTERS, NUMBER_LIMIT)
+        magnitude += min(rest, MAX_QUANTISED)
+    if magnitude > 0 and code_bit(coder, 1 if value < 0 else 0, 1 << 15):
+        magnitude = -magnitude
+    block.quantised[place, channel] = magnitude
+    block.decoded[place, channel] = guess + magnitude * step
+
+
+@kernel
+def code_block(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, node: int, height: int, block: Block) -> None:
+    """Code the children of one node that has at least two."""
+    channels = level.means.shape[1]
+    child = level.first[node]
+    for octant in range(8):
+        if level.masks[node] >> octant & 1:
+            predict_child(level, node, octant, child, block.predicted[octant])
+            child += 1
+    load_children(level, node, level.true_means, block.true, block.weights)
+    merge_pairs(block.true, block.weights, block.left, block.right)
+    load_children(level, node, level.true_means, block.decoded, block.weights)
+    merge_pairs(block.predicted, block.weights, block.left, block.right)
+    block.quantised[:] = 0
+    block.decoded[0] = level.means[node]
+    for axis in range(2, -1, -1):
+        for place in range(1 << axis, 8, 2 << axis):
+            if block.left[place] > 0 and block.right[place] > 0:
+                for channel in range(channels):
+                    code_coefficient(coder, mixer, quantiser, level, node, height, block, place, channel)
+    for channel in range(channels):
+        total = np.int64(0)
+        for place in range(1, 8):
+            total += abs(block.quantised[place, channel])
+        level.energy[node, channel] = min(total, MAX_ENERGY)
+    split_pairs(block.decoded, block.left, block.right)
+    store_children(level, node, block.decoded)
+
+
+@kernel
+def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, height: int) -> bool:
+    """Code the colours of the children of one level; return False if the data end too early.
+
+    `height` is 0 where the children are cells, 1 for the level above, and so on.
+    """
+    channels = level.means.shape[1]
+    block = Block(
+        np.zeros((8, channels), np.int64),
+        np.zeros((8, channels), np.int64),
+        np.zeros((8, channels), np.int64),
+        np.zeros((8, channels), np.int64),
+        np.zeros(8, np.int64),
+        np.zeros(8, np.int64),
+        np.zeros(8, np.int64),
+    )
+    mixer.inputs[COLOR_MODELS] = 256
+    for i in range(len(level.masks)):
+        if overrun(coder):
+            return False
+        mask = np.int64(level.masks[i])
+        if mask & (mask - 1):
+            code_block(coder, mixer, quantiser, level, i, height, block)
+        else:
+            level.child_means[level.first[i]] = level.means[i]
+    return True

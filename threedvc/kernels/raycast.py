@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: MIT
+"""First-opacity ray casting of decoded models.
+
+Coordinates are in cells, shifted by half a cell so that integers are cell centres. Around a point the
+surface is the zero of the weighted mean of the signed distances to the planes of the eight nearest
+cells, each turned towards the ray's origin; the weights are trilinear and count occupied cells only.
+A ray is stopped where that mean changes sign and enough of the eight cells are occupied.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threedvc.kernels import kernel
+from threedvc.kernels.blocks import find_block
+
+__all__ = ["cast_rays", "surface_at", "tile_ranges"]
+
+OPACITY = 0.3
+FAR = 1e9
+GRAZE = 0.6
+MAX_DISTANCE = 2.0
+
+
+@kernel
+def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far):  # type: ignore[no-untyped-def]
+    """Widen the depth range of every tile of the slope plane by the blocks that it can see.
+
+    Parameters
+    ----------
+    coords
+        (blocks, 3) block coordinates; the first `count` are in use.
+    T_camera_cells
+        (3, 4) from shifted cell coordinates to the camera.
+    tile_origin, tile_size
+        (2,) slope of the first tile's corner, and extent of a tile, along x and y.
+    near, far
+        (rows, columns) float64, updated.
+    """
+    T = T_camera_cells
+    scale = np.sqrt(T[0, 0] * T[0, 0] + T[1, 0] * T[1, 0] + T[2, 0] * T[2, 0])
+    radius = 8.0 * 0.8661 * scale
+    rows, columns = near.shape
+    for b in range(count):
+        cx, cy, cz = coords[b, 0] * 8.0 + 4.0, coords[b, 1] * 8.0 + 4.0, coords[b, 2] * 8.0 + 4.0
+        z = T[2, 0] * cx + T[2, 1] * cy + T[2, 2] * cz + T[2, 3]
+        if z < -radius:
+            continue
+        front, back = max(z - radius, 0.0), z + radius
+        left, right, top, bottom = 0, columns - 1, 0, rows - 1
+        if front > 0.1 * radius:
+            x = T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3]
+            y = T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3]
+            low_x, high_x = min((x - radius) / front, (x - radius) / back), max((x + radius) / front, (x + radius) / back)
+            low_y, high_y = min((y - radius) / front, (y - radius) / back), max((y + radius) / front, (y + radius) / back)
+            left = max(left, np.int64(np.floor(max(min((low_x - tile_origin[0]) / tile_size[0], 1e6), -1e6))))
+            right = min(right, np.int64(np.floor(max(min((high_x - tile_origin[0]) / tile_size[0], 1e6), -1e6))))
+            top = max(top, np.int64(np.floor(max(min((low_y - tile_origin[1]) / tile_size[1], 1e6), -1e6))))
+            bottom = min(bottom, np.int64(np.floor(max(min((high_y - tile_origin[1]) / tile_size[1], 1e6), -1e6))))
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                near[row, column] = min(near[row, column], front)
+                far[row, column] = max(far[row, column], back)
+
+
+@kernel
+def surface_at(state, plane, base, x, y, z, dx, dy, dz, opacity):  # type: ignore[no-untyped-def]
+    """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where too few cells count.
+
+    `state` (729,) and `plane` (729, 4) are those of a render block; (dx, dy, dz) is the direction of the ray.
+    """
+    total, mean = 0.0, 0.0
+    for k in range(8):
+        ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
+        cell = base + ix + 9 * iy + 81 * iz
+        if state[cell]:
+            w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z)
+            nx, ny, nz, offset = plane[cell, 0] / 127.0, plane[cell, 1] / 127.0, plane[cell, 2] / 127.0, plane[cell, 3] / 64.0
+            if nx == 0.0 and ny == 0.0 and nz == 0.0:
+                nx, ny, nz, offset = -dx, -dy, -dz, 0.0
+            s = nx * (x - ix) + ny * (y - iy) + nz * (z - iz) - offset
+            if nx * dx + ny * dy + nz * dz > 0.0:
+                s = -s
+            total += w
+            mean += w * s
+    return mean / total if total > opacity else FAR
+
+
+@kernel
+def color_at(state, color, base, x, y, z, out):  # type: ignore[no-untyped-def]
+    """Write the weighted mean colour of the occupied cells around (x, y, z) into `out` (3,)."""
+    total, r, g, b = 0.0, 0.0, 0.0, 0.0
+    for k in range(8):
+        ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
+        cell = base + ix + 9 * iy + 81 * iz
+        if state[cell]:
+            w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z) + 1e-9
+            total += w
+            r += w * color[cell, 0]
+            g += w * color[cell, 1]
+            b += w * color[cell, 2]
+    out[0], out[1], out[2] = r / total, g / total, b / total
+
+
+@kernel
+def next_crossing(o, d, i):  # type: ignore[no-untyped-def]
+    """Return the ray parameter at which coordinate ``o + t d`` leaves the unit interval at `i`."""
+    if d > 0.0:
+        return (i + 1 - o) / d
+    if d < 0.0:
+        return (i - o) / d
+    return FAR
+
+
+@kernel
+def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, norm, low, f_low, high, f_high, opacity):  # type: ignore[no-untyped-def]
+    """Find the sign change between `low` and `high` by three secant steps; FAR if too little is opaque there.
+
+    (px, py, pz) is the ray's origin relative to the corner cell of the cube.
+    """
+    ux, uy, uz = dx / norm, dy / norm, dz / norm
+    hit, f = low, FAR
+    for _ in range(3):
+        hit = low + (high - low) * f_low / (f_low - f_high)
+        f = surface_at(state, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity)
+        if f > 0.0:
+            low, f_low = hit, min(f, MAX_DISTANCE)
+        else:
+            high, f_high = hit, f
+    return hit if f < FAR else FAR
+
+
+@kernel
+def cast_in_block(  # type: ignore[no-untyped-def]
+    ox, oy, oz, dx, dy, dz, norm, t, t_end, block, near, state, plane, opacity, number, grazed, hit
+):
+    """Walk the cells of one render block from `t` to `t_end`; return whether the ray is stopped.
+
+    Parameters
+    ----------
+    block
+        (3,) first cell of the block. Directions are per unit of t, `norm` is their length in cells.
+    grazed
+        (4,) float64, kept from block to block: parameter, distance, render block and cube of the
+        nearest approach to a surface that the ray has not crossed; distance FAR: none. A ray that leaves
+        the neighbourhood of a surface so is stopped there, else a shell of one cell would have streaks.
+    hit
+        (3,) float64 output: parameter, render block and cube.
+    """
+    ux, uy, uz = dx / norm, dy / norm, dz / norm
+    px, py, pz = ox - block[0], oy - block[1], oz - block[2]
+    ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
+    iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
+    iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
+    before = FAR
+    while True:
+        tx, ty, tz = next_crossing(px, dx, ix), next_crossing(py, dy, iy), next_crossing(pz, dz, iz)
+        t_out = min(tx, ty, tz)
+        if near[ix + 8 * iy + 64 * iz]:
+            base = ix + 9 * iy + 81 * iz
+            ax, ay, az = px - ix, py - iy, pz - iz
+            if before == FAR:
+                before = surface_at(state, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0)
+            after = surface_at(state, plane, base, ax + t_out * dx, ay + t_out * dy, az + t_out * dz, ux, uy, uz, 0.0)
+            if after <= 0.0:
+                first = min(before, MAX_DISTANCE) if before > 0.0 else 0.0
+                at = refine_hit(
+                    state, plane, base, ax, ay, az, dx, dy, dz, norm, t if before > 0.0 else t_out, first, t_out, after, opacity
+                )
+                if at < FAR:
+                    hit[0], hit[1], hit[2] = at, number, base
+                    return True
+            elif after < grazed[1]:
+                grazed[0], grazed[1], grazed[2], grazed[3] = t_out, after, number, base
+            before = after
+        else:
+            before = FAR
+            if grazed[1] < GRAZE:
+                hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
+                return True
+            grazed[1] = FAR
+        t = t_out
+        if t >= t_end:
+            return False
+        if t_out == tx:
+            ix += 1 if dx > 0.0 else -1
+        elif t_out == ty:
+            iy += 1 if dy > 0.0 else -1
+        else:
+            iz += 1 if dz > 0.0 else -1
+        if ix < 0 or iy < 0 or iz < 0 or ix > 7 or iy > 7 or iz > 7:
+            return False
+
+
+@kernel
+def cast_rays(  # type: ignore[no-untyped-def]
+    rays, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, near, state, plane,
+    colors, label, with_color, opacity, depth, color, labels,
+):  # fmt: skip
+    """Cast rays ``start..stop`` into one object and keep what is nearer than `depth` already holds.
+
+    Parameters
+    ----------
+    rays
+        (n, 2) float64 slopes.
+    T_cells_camera
+        (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in metres.
+    tables, near, state, plane, colors
+        Render blocks and their index.
+    depth, color, labels
+        (n,) float32 metres, 0 = nothing; (n, 3) float32; (n,) uint8; updated.
+    """
+    root_origin, root, supers = tables
+    T = T_cells_camera
+    block = np.empty(3, dtype=np.int64)
+    grazed, hit = np.empty(4), np.empty(3)
+    for r in range(start, stop):
+        sx, sy = rays[r, 0], rays[r, 1]
+        column = min(max(np.int64((sx - tile_origin[0]) / tile_size[0]), 0), tile_near.shape[1] - 1)
+        row = min(max(np.int64((sy - tile_origin[1]) / tile_size[1]), 0), tile_near.shape[0] - 1)
+        t, t_far = tile_near[row, column], tile_far[row, column]
+        if depth[r] > 0.0:
+            t_far = min(t_far, np.float64(depth[r]))
+        ox, oy, oz = T[0, 3], T[1, 3], T[2, 3]
+        dx = T[0, 0] * sx + T[0, 1] * sy + T[0, 2]
+        dy = T[1, 0] * sx + T[1, 1] * sy + T[1, 2]
+        dz = T[2, 0] * sx + T[2, 1] * sy + T[2, 2]
+        norm = np.sqrt(dx * dx + dy * dy + dz * dz)
+        nudge = 1e-6 / norm
+        grazed[1] = FAR
+        while t < t_far:
+            at = t + nudge
+            bx = np.int64(np.floor((ox + at * dx) / 8.0))
+            by = np.int64(np.floor((oy + at * dy) / 8.0))
+            bz = np.int64(np.floor((oz + at * dz) / 8.0))
+            number = find_block(bx, by, bz, root_origin, root, supers)
+            shift = 6 if number == -2 else 3
+            size = 64.0 if number == -2 else 8.0
+            kx, ky, kz = (bx * 8) >> shift, (by * 8) >> shift, (bz * 8) >> shift
+            leave = min(
+                next_crossing(ox / size, dx / size, kx), next_crossing(oy / size, dy / size, ky),
+                next_crossing(oz / size, dz / size, kz),
+            )  # fmt: skip
+            stopped = False
+            if number >= 0:
+                block[0], block[1], block[2] = bx * 8, by * 8, bz * 8
+                stopped = cast_in_block(
+                    ox, oy, oz, dx, dy, dz, norm, at, leave, block, near[number], state[number], plane[number], opacity,
+                    number, grazed, hit,
+                )  # fmt: skip
+            elif grazed[1] < GRAZE:
+                hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
+                stopped = True
+            if stopped:
+                if hit[0] < t_far:
+                    depth[r] = hit[0]
+                    labels[r] = label
+                    if with_color:
+                        number, base = np.int64(hit[1]), np.int64(hit[2])
+                        x = ox + hit[0] * dx - coords[number, 0] * 8 - base % 9
+                        y = oy + hit[0] * dy - coords[number, 1] * 8 - base // 9 % 9
+                        z = oz + hit[0] * dz - coords[number, 2] * 8 - base // 81
+                        color_at(state[number], colors[number], base, x, y, z, color[r])
+                break
+            t = max(leave, at)

@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: MIT
+"""Loops of registration: sampling a frame, association with a model's view, normal equations.
+
+Points of the frame are ``p``, moved into the view's camera frame they are ``q``. Rows and chunks of
+samples are fixed, whatever thread works on them, so sums do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.kernels import kernel
+
+__all__ = [
+    "BEHIND",
+    "FITTING",
+    "LUMA_CENTRE",
+    "ROW",
+    "UNKNOWNS",
+    "UNSEEN",
+    "accumulate_normal_equations",
+    "associate",
+    "estimate_normals",
+    "halve_luma",
+    "sample_frame",
+    "sample_luma",
+]
+
+UNSEEN = 0
+BEHIND = 1
+FITTING = 2
+UNKNOWNS = 8
+ROW = 11
+LUMA_CENTRE = 128.0
+SAME_RAY = 0.02
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+
+
+@kernel
+def neighbour_step(depth: Floats, rays: Doubles, row: int, column: int, dr: int, dc: int, jump: float) -> tuple[float, float, float]:
+    """Return the surface step from one pixel towards another, or zeros across a hole or an edge."""
+    height, width = depth.shape
+    r, c = row + dr, column + dc
+    if r < 0 or c < 0 or r >= height or c >= width:
+        return 0.0, 0.0, 0.0
+    z, here = float(depth[r, c]), float(depth[row, column])
+    if not z > 0.0 or abs(z - here) > jump * here:
+        return 0.0, 0.0, 0.0
+    x = z * rays[r, c, 0] - here * rays[row, column, 0]
+    y = z * rays[r, c, 1] - here * rays[row, column, 1]
+    return x, y, z - here
+
+
+@kernel
+def surface_normal(depth: Floats, rays: Doubles, row: int, column: int, reach: int, jump: float) -> tuple[float, float, float]:
+    """Return the unit normal towards the camera at a pixel, or zeros where no surface can be told.
+
+    Steps of `reach` pixels to both sides are added up where both exist, so that noise falls; at a hole
+    or an edge one side serves.
+    """
+    ax, ay, az = neighbour_step(depth, rays, row, column, 0, reach, jump)
+    bx, by, bz = neighbour_step(depth, rays, row, column, 0, -reach, jump)
+    cx, cy, cz = neighbour_step(depth, rays, row, column, reach, 0, jump)
+    dx, dy, dz = neighbour_step(depth, rays, row, column, -reach, 0, jump)
+    ax, ay, az = ax - bx, ay - by, az - bz
+    cx, cy, cz = cx - dx, cy - dy, cz - dz
+    nx, ny, nz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if not length > 0.0:
+        return 0.0, 0.0, 0.0
+    return nx / length, ny / length, nz / length
+
+
+@kernel
+def estimate_normals(depth: Floats, rays: Doubles, reach: int, jump: float, normals: Floats, start: int, stop: int) -> None:
+    """Write the normals (h, w, 3) of rows ``start..stop`` of a depth map; zeros where unknown."""
+    for row in range(start, stop):
+        for column in range(depth.shape[1]):
+            normals[row, column, :] = 0.0
+            if depth[row, column] > 0.0:
+                x, y, z = surface_normal(depth, rays, row, column, reach, jump)
+                normals[row, column, 0], normals[row, column, 1], normals[row, column, 2] = x, y, z
+
+
+@kernel
+def sample_frame(
+    depth: Floats,
+    mask: NDArray[np.bool_],
+    rays: Doubles,
+    stride: int,
+    reach: int,
+    jump: float,
+    samples: Doubles,
+    start: int,
+    stop: int,
+) -> None:
+    """Write points, normals and pixels of every `stride`-th pixel of the sample rows ``start..stop``.
+
+    `samples` (rows, columns, 8) receives ``x y z nx ny nz u v``; z = 0 marks a sample without surface.
+    """
+    for j in range(start, stop):
+        for i in range(samples.shape[1]):
+            row, column = j * stride + stride // 2, i * stride + stride // 2
+            samples[j, i, 2] = 0.0
+            z = float(depth[row, column])
+            if not z > 0.0 or not mask[row, column]:
+                continue
+            nx, ny, nz = surface_normal(depth, rays, row, column, reach, jump)
+            if nx == 0.0 and ny == 0.0 and nz == 0.0:
+                continue
+            samples[j, i, 0], samples[j, i, 1], samples[j, i, 2] = z * rays[row, column, 0], z * rays[row, column, 1], z
+            samples[j, i, 3], samples[j, i, 4], samples[j, i, 5] = nx, ny, nz
+            samples[j, i, 6], samples[j, i, 7] = column, row
+
+
+@kernel
+def halve_luma(luma: Floats, halved: Floats, start: int, stop: int) -> None:
+    """Write rows ``start..stop`` of a picture of half the size: means of 2x2 pixels.
+
+    NaN pixels are left out; fewer than three known pixels make NaN.
+    """
+    for row in range(start, stop):
+        for column in range(halved.shape[1]):
+            total = 0.0
+            known = 0
+            for dr in range(2):
+                for dc in range(2):
+                    value = luma[2 * row + dr, 2 * column + dc]
+                    if value == value:
+                        total += value
+                        known += 1
+            halved[row, column] = total / known if known >= 3 else np.nan
+
+
+@kernel
+def interpolate(luma: Floats, x: float, y: float) -> tuple[float, float, float]:
+    """Return the bilinear value at (x, y) and its slopes along x and y; NaN beside unknown pixels."""
+    height, width = luma.shape
+    column, row = min(max(int(np.floor(x)), 0), width - 2), min(max(int(np.floor(y)), 0), height - 2)
+    fx, fy = x - column, y - row
+    a, b = luma[row, column], luma[row, column + 1]
+    c, d = luma[row + 1, column], luma[row + 1, column + 1]
+    top, bottom = a + fx * (b - a), c + fx * (d - c)
+    return top + fy * (bottom - top), (b - a) + fy * ((d - c) - (b - a)), bottom - top
+
+
+@kernel
+def sample_luma(luma: Floats, scale: float, samples: Doubles, values: Doubles, start: int, stop: int) -> None:
+    """Write the luma at the pixels of `samples` (n, 8) from a picture shrunk by `scale`."""
+    for i in range(start, stop):
+        x, y = (samples[i, 6] + 0.5) * scale - 0.5, (samples[i, 7] + 0.5) * scale - 0.5
+        values[i], _, _ = interpolate(luma, x, y)
+
+
+@kernel
+def project(camera: Doubles, x: float, y: float) -> tuple[float, float, float, float, float, float]:
+    """Return pixel (u, v) of the ray slopes (x, y), and du/dx, du/dy, dv/dx, dv/dy."""
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    u = fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + cx
+    v = fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) + cy
+    cross = slope * x * y + 2.0 * (p1 * x + p2 * y)
+    ux = fx * (radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x)
+    vy = fy * (radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x)
+    return u, v, ux, fx * cross, fy * cross, vy
+
+
+@kernel
+def associate(
+    samples: Doubles,
+    lumas: Doubles,
+    sigmas: Doubles,
+    view_depth: Floats,
+    view_normals: Floats,
+    view_luma: Floats,
+    rays: Doubles,
+    camera: Doubles,
+    T_view_frame: Doubles,
+    scale: float,
+    gates: Doubles,
+    rows: Doubles,
+    states: NDArray[np.uint8],
+    start: int,
+    stop: int,
+) -> None:
+    """Find for samples ``start..stop`` what the view shows at their place.
+
+    Parameters
+    ----------
+    samples, lumas, sigmas
+        (n, 8) of `sample_frame`, (n,) luma at this level and (n,) depth noise in metres.
+    view_depth, view_normals, view_luma
+        The view: (h, w) metres, (h, w, 3), and luma shrunk by `scale`.
+    rays, camera
+        (h, w, 2) slopes and (9,) parameters of the camera.
+    T_view_frame
+        (4, 4), ``q = T_view_frame @ p``.
+    gates
+        Largest distance relative to depth, in sigmas of depth noise, and smallest cosine between normals.
+    rows
+        (n, 11) out: ``q``, the view's normal, the distance to its plane, the luma's slope by q, the luma.
+        NaN distance or luma: no such residual.
+    states
+        (n,) out: `UNSEEN` (nothing known there), `BEHIND` (another surface there) or `FITTING`.
+    """
+    height, width = view_depth.shape
+    for i in range(start, stop):
+        states[i] = UNSEEN
+        rows[i, 6], rows[i, 10] = np.nan, np.nan
+        p, T = samples[i], T_view_frame
+        qx = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+        qy = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+        qz = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        if not qz > 0.0:
+            continue
+        x, y = qx / qz, qy / qz
+        u, v, ux, uy, vx, vy = project(camera, x, y)
+        if not (u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5):
+            continue
+        column, row = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+        z, rx, ry = float(view_depth[row, column]), rays[row, column, 0], rays[row, column, 1]
+        # Far outside the picture a distortion polynomial may fold back into it.
+        if not z > 0.0 or abs(rx - x) + abs(ry - y) > SAME_RAY:
+            continue
+        states[i] = BEHIND
+        nx, ny, nz = view_normals[row, column, 0], view_normals[row, column, 1], view_normals[row, column, 2]
+        ex, ey, ez = qx - z * rx, qy - z * ry, qz - z
+        gate = max(gates[0] * z, gates[1] * sigmas[i])
+        if ex * ex + ey * ey + ez * ez > gate * gate:
+            continue
+        mx = T[0, 0] * p[3] + T[0, 1] * p[4] + T[0, 2] * p[5]
+        my = T[1, 0] * p[3] + T[1, 1] * p[4] + T[1, 2] * p[5]
+        mz = T[2, 0] * p[3] + T[2, 1] * p[4] + T[2, 2] * p[5]
+        if nx * mx + ny * my + nz * mz < gates[2]:
+            continue
+        states[i] = FITTING
+        rows[i, 0], rows[i, 1], rows[i, 2] = qx, qy, qz
+        rows[i, 3], rows[i, 4], rows[i, 5] = nx, ny, nz
+        rows[i, 6] = nx * ex + ny * ey + nz * ez
+        value, gu, gv = interpolate(view_luma, (u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5)
+        gx, gy = scale * (gu * ux + gv * vx) / qz, scale * (gu * uy + gv * vy) / qz
+        rows[i, 7], rows[i, 8], rows[i, 9] = gx, gy, -(gx * x + gy * y)
+        rows[i, 10] = value if lumas[i] == lumas[i] else np.nan
+
+
+@kernel
+def biweight(residual: float, bound: float) -> float:
+    """Return Tukey's weight, 0 beyond `bound`."""
+    ratio = residual / bound
+    if not abs(ratio) < 1.0:
+        return 0.0
+    return (1.0 - ratio * ratio) ** 2
+
+
+@kernel
+def accumulate_normal_equations(
+    rows: Doubles,
+    lumas: Doubles,
+    sigmas: Doubles,
+    centre: Doubles,
+    exposure: Doubles,
+    scales: Doubles,
+    bound: float,
+    chunk: int,
+    sums: Doubles,
+    start: int,
+    stop: int,
+) -> None:
+    """Sum the normal equations of the sample chunks ``start..stop`` into their rows of `sums`.
+
+    Unknowns are a rotation about `centre` and a translation, both in the view's frame, then gain and
+    offset of the frame's luma.
+
+    Parameters
+    ----------
+    rows, lumas, sigmas
+        As in `associate`.
+    centre
+        (3,) metres.
+    exposure
+        Gain and offset: the view's luma is expected to be ``gain * (luma - 128) + offset``.
+    scales
+        Standard deviations of a depth residual in sigmas and of a luma residual, and the weight of luma.
+    bound
+        Tukey's bound in those standard deviations.
+    chunk
+        Samples in a chunk.
+    sums
+        (chunks, 8, 9) out: the matrix, and the right side in its last column.
+    """
+    equation = np.zeros(UNKNOWNS + 1)
+    for c in range(start, stop):
+        sums[c, :, :] = 0.0
+        for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
+            for term in range(2):
+                residual = rows[i, 6]
+                deviation = scales[0] * sigmas[i]
+                factor, first = 1.0, 3
+                equation[6], equation[7] = 0.0, 0.0
+                if term == 1:
+                    level = lumas[i] - LUMA_CENTRE
+                    residual = rows[i, 10] - exposure[0] * level - exposure[1]
+                    deviation, factor, first = scales[1], scales[2], 7
+                    equation[6], equation[7] = -level, -1.0
+                weight = factor * biweight(residual, bound * deviation) / (deviation * deviation)
+                if weight == 0.0:
+                    continue
+                qx, qy, qz = rows[i, 0] - centre[0], rows[i, 1] - centre[1], rows[i, 2] - centre[2]
+                gx, gy, gz = rows[i, first], rows[i, first + 1], rows[i, first + 2]
+                equation[0], equation[1], equation[2] = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
+                equation[3], equation[4], equation[5] = gx, gy, gz
+                equation[8] = residual
+                for a in range(UNKNOWNS):
+                    weighted = weight * equation[a]
+                    for b in range(UNKNOWNS + 1):
+                        sums[c, a, b] += weighted * equation[b]

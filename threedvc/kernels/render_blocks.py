@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""What the ray caster needs of a model: blocks with a border, and a plane for every occupied cell.
+
+A render block holds the 9x9x9 cells from its own first cell on, so that the eight cells around any
+point between cell centres lie in one block.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threedvc.kernels import kernel
+from threedvc.kernels.blocks import find_cell
+
+__all__ = ["build_block", "fit_plane", "fit_planes"]
+
+REACH = 2
+
+
+@kernel
+def fit_plane(counts, moments, products, plane):  # type: ignore[no-untyped-def]
+    """Fit a plane to weighted cells around a cell; write its normal and offset as int8.
+
+    The normal is the eigenvector of the smallest eigenvalue of the covariance, found as the largest
+    of its adjugate by squaring that matrix five times: + - * / and sqrt alone, so that every machine
+    gets the same plane.
+
+    Parameters
+    ----------
+    counts
+        Sum of weights.
+    moments, products
+        Sums of weight times (x, y, z) and times (xx, yy, zz, xy, xz, yz), in cells from the cell's centre.
+    plane
+        (4,) int8 output: normal * 127, offset of the plane from the centre along it * 64; all 0 where
+        the cells span no plane.
+    """
+    mx, my, mz = moments[0] / counts, moments[1] / counts, moments[2] / counts
+    xx, yy, zz = products[0] / counts - mx * mx, products[1] / counts - my * my, products[2] / counts - mz * mz
+    xy, xz, yz = products[3] / counts - mx * my, products[4] / counts - mx * mz, products[5] / counts - my * mz
+    a, d, f = yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy
+    b, c, e = xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - yz * xx
+    for k in range(4):
+        plane[k] = 0
+    for _ in range(5):
+        trace = a + d + f
+        if not trace > 1e-9:
+            return
+        a, b, c, d, e, f = a / trace, b / trace, c / trace, d / trace, e / trace, f / trace
+        a, b, c, d, e, f = (
+            a * a + b * b + c * c, a * b + b * d + c * e, a * c + b * e + c * f,
+            b * b + d * d + e * e, b * c + d * e + e * f, c * c + e * e + f * f,
+        )  # fmt: skip
+    if a >= d and a >= f:
+        nx, ny, nz = a, b, c
+    elif d >= f:
+        nx, ny, nz = b, d, e
+    else:
+        nx, ny, nz = c, e, f
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx / length, ny / length, nz / length
+    offset = min(max(nx * mx + ny * my + nz * mz, -1.0), 1.0)
+    plane[0] = np.int8(np.floor(nx * 127.0 + 0.5))
+    plane[1] = np.int8(np.floor(ny * 127.0 + 0.5))
+    plane[2] = np.int8(np.floor(nz * 127.0 + 0.5))
+    plane[3] = np.int8(np.floor(offset * 64.0 + 0.5))
+
+
+@kernel
+def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):  # type: ignore[no-untyped-def]
+    """Fit the planes of the occupied cells of blocks ``numbers[start:stop]`` into `planes` (blocks, 512, 4) int8.
+
+    `weights` (5,) float64 weighs a cell by its distance along each axis.
+    """
+    root_origin, root, supers = tables
+    side = 8 + 2 * REACH
+    patch = np.zeros((side, side, side), dtype=np.uint8)
+    flat = occupied.reshape(-1)
+    moments, products = np.empty(3), np.empty(6)
+    for n in range(start, stop):
+        b = numbers[n]
+        x0, y0, z0 = coords[b, 0] * 8 - REACH, coords[b, 1] * 8 - REACH, coords[b, 2] * 8 - REACH
+        for z in range(side):
+            for y in range(side):
+                for x in range(side):
+                    cell = find_cell(x0 + x, y0 + y, z0 + z, root_origin, root, supers)
+                    patch[z, y, x] = cell >= 0 and flat[cell] != 0
+        for i in range(512):
+            if not occupied[b, i]:
+                continue
+            cx, cy, cz = i & 7, (i >> 3) & 7, i >> 6
+            counts = 0.0
+            moments[:] = 0.0
+            products[:] = 0.0
+            for dz in range(5):
+                for dy in range(5):
+                    for dx in range(5):
+                        if patch[cz + dz, cy + dy, cx + dx]:
+                            w = weights[dx] * weights[dy] * weights[dz]
+                            x, y, z = dx - 2.0, dy - 2.0, dz - 2.0
+                            counts += w
+                            moments[0] += w * x
+                            moments[1] += w * y
+                            moments[2] += w * z
+                            products[0] += w * x * x
+                            products[1] += w * y * y
+                            products[2] += w * z * z
+                            products[3] += w * x * y
+                            products[4] += w * x * z
+                            products[5] += w * y * z
+            fit_plane(counts, moments, products, planes[b, i])
+
+
+@kernel
+def build_block(  # type: ignore[no-untyped-def]
+    targets, blocks, start, stop, tables, occupied, planes, color, near, cell_state, cell_plane, cell_color
+):
+    """Fill render blocks ``start..stop`` of the list `blocks` (n, 3) at places `targets` (n,).
+
+    Parameters
+    ----------
+    near
+        (render blocks, 512) uint8: any of the eight cells around the point between centres is occupied.
+    cell_state
+        (render blocks, 729) uint8: occupied.
+    cell_plane, cell_color
+        (render blocks, 729, 4) int8 and (render blocks, 729, 3) int16.
+    """
+    root_origin, root, supers = tables
+    flat, flat_plane, flat_color = occupied.reshape(-1), planes.reshape(-1, 4), color.reshape(-1, 3)
+    for n in range(start, stop):
+        t = targets[n]
+        for i in range(729):
+            cell = find_cell(
+                blocks[n, 0] * 8 + i % 9, blocks[n, 1] * 8 + i // 9 % 9, blocks[n, 2] * 8 + i // 81,
+                root_origin, root, supers,
+            )  # fmt: skip
+            here = cell >= 0 and flat[cell] != 0
+            cell_state[t, i] = here
+            for k in range(4):
+                cell_plane[t, i, k] = flat_plane[cell, k] if here else 0
+            for k in range(3):
+                cell_color[t, i, k] = flat_color[cell, k] if here else 0
+        for i in range(512):
+            base = (i & 7) + 9 * ((i >> 3) & 7) + 81 * (i >> 6)
+            near[t, i] = 0
+            for k in range(8):
+                if cell_state[t, base + (k & 1) + 9 * ((k >> 1) & 1) + 81 * (k >> 2)]:
+                    near[t, i] = 1

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: MIT
+"""The model Gamma of one rigid object (sec. 2.1), as the decoder holds it and as the encoder does.
+
+`DecodedModel` is what the stream has conveyed: integers alone, changed by `apply` only, equal on
+both sides bit by bit. `EvidenceModel` is the encoder's: for every cell the distributions of
+occupancy (log-odds, 0 = equiprobable), of the surface's signed distance (Gaussian) and of colour
+(Gaussian per channel).
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex
+from threedvc.errors import CorruptStream
+from threedvc.model_update import ModelUpdate
+
+__all__ = ["DecodedModel", "EvidenceModel"]
+
+DIGEST_BYTES = 16
+
+
+class DecodedModel:
+    """Occupied cells and their colours: the MAP read-out that was sent.
+
+    Attributes
+    ----------
+    voxel_size_m
+        Edge of a cell.
+    index
+        Blocks.
+    occupied
+        (blocks, 512) uint8.
+    color
+        (blocks, 512, 3) int16 RGB; 0 in empty cells.
+    """
+
+    def __init__(self, voxel_size_m: float) -> None:
+        self.voxel_size_m = voxel_size_m
+        self.index = BlockIndex()
+        self.occupied = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.color = np.zeros((0, BLOCK_CELLS, 3), dtype=np.int16)
+        self.cell_count = 0
+        self._dirty: set[int] = set()
+
+    def cells(self) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
+        """Return the occupied cells (n, 3) in Morton order and their colours (n, 3)."""
+        cells, positions = self.index.flagged(self.occupied[: self.index.count])
+        return cells, self.color.reshape(-1, 3)[positions]
+
+    def apply(self, update: ModelUpdate) -> None:
+        """Apply a decoded update.
+
+        Raises
+        ------
+        CorruptStream
+            If the update adds a cell twice, or removes or recolours one that is not there.
+        """
+        self.index.insert(update.added // BLOCK_SIDE)
+        self._grow()
+        added = self._positions(update.added, present=False)
+        removed = self._positions(update.removed, present=True)
+        recolored = self._positions(update.recolored, present=True)
+        occupied, color = self.occupied.reshape(-1), self.color.reshape(-1, 3)
+        occupied[removed] = 0
+        color[removed] = 0
+        occupied[added] = 1
+        color[added] = update.added_colors
+        color[recolored] = update.recolored_colors
+        self.cell_count += len(added) - len(removed)
+        touched = np.concatenate([added, removed, recolored]) // BLOCK_CELLS
+        self._dirty.update(np.unique(touched).tolist())
+
+    def take_dirty(self) -> NDArray[np.int32]:
+        """Return the coordinates (n, 3) of blocks changed since the last call."""
+        numbers = np.array(sorted(self._dirty), dtype=np.int64)
+        self._dirty.clear()
+        return self.index.coords[numbers]
+
+    def digest(self) -> bytes:
+        """Return a hash of cells and colours, independent of the order in which they came."""
+        cells, colors = self.cells()
+        state = hashlib.sha256()
+        state.update(np.float64(self.voxel_size_m).tobytes())
+        state.update(cells.astype("<i4").tobytes())
+        state.update(colors.astype("<i2").tobytes())
+        return state.digest()[:DIGEST_BYTES]
+
+    def _positions(self, cells: NDArray[np.int32], *, present: bool) -> NDArray[np.int64]:
+        positions = self.index.locate(cells)
+        if len(cells) and (positions.min() < 0 or np.any(self.occupied.reshape(-1)[positions] != present)):
+            raise CorruptStream("a model update does not fit the model; the stream is damaged or a packet is missing")
+        return positions
+
+    def _grow(self) -> None:
+        if self.index.count > len(self.occupied):
+            more = max(self.index.count, len(self.occupied) * 3 // 2) - len(self.occupied)
+            self.occupied = np.concatenate([self.occupied, np.zeros((more, BLOCK_CELLS), dtype=np.uint8)])
+            self.color = np.concatenate([self.color, np.zeros((more, BLOCK_CELLS, 3), dtype=np.int16)])
+
+
+class EvidenceModel:
+    """Distributions of every cell near a surface, as the encoder accumulates them.
+
+    Attributes
+    ----------
+    voxel_size_m
+        Edge of a cell.
+    index
+        Blocks.
+    log_odds
+        (blocks, 512) float32, log of P(occupied) / P(empty).
+    distance, distance_weight
+        (blocks, 512) float32: mean signed distance to the surface along the viewing rays in metres
+        (positive on the sensor's side) and its precision in units of the sensor's at 1 m.
+    color, color_weight
+        (blocks, 512, 3) and (blocks, 512) float32: mean RGB and its precision.
+    first_seen
+        (blocks, 512) int32: first frame whose surface came within the cell's reach, or `NEVER`.
+    """
+
+    NEVER = np.iinfo(np.int32).max
+
+    def __init__(self, voxel_size_m: float) -> None:
+        self.voxel_size_m = voxel_size_m
+        self.index = BlockIndex()
+        self.log_odds = np.zeros((0, BLOCK_CELLS), dtype=np.float32)
+        self.distance = np.zeros((0, BLOCK_CELLS), dtype=np.float32)
+        self.distance_weight = np.zeros((0, BLOCK_CELLS), dtype=np.float32)
+        self.color = np.zeros((0, BLOCK_CELLS, 3), dtype=np.float32)
+        self.color_weight = np.zeros((0, BLOCK_CELLS), dtype=np.float32)
+        self.first_seen = np.zeros((0, BLOCK_CELLS), dtype=np.int32)
+
+    def allocate(self, blocks: NDArray[np.int32]) -> None:
+        """Give storage to blocks (n, 3); their cells are equiprobable, without colour."""
+        self.index.insert(blocks)
+        have, need = len(self.log_odds), self.index.count
+        if need <= have:
+            return
+        more = max(need, have * 3 // 2) - have
+        for name, fill in (
+            ("log_odds", 0),
+            ("distance", 0),
+            ("distance_weight", 0),
+            ("color", 0),
+            ("color_weight", 0),
+            ("first_seen", self.NEVER),
+        ):
+            array = getattr(self, name)
+            tail = np.full((more, *array.shape[1:]), fill, dtype=array.dtype)
+            setattr(self, name, np.concatenate([array, tail]))

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""The rays of a camera, and the tiles of the slope plane that bound how near and far they can hit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.block_index import BlockIndex
+from threedvc.camera import Camera
+from threedvc.kernels.raycast import tile_ranges
+from threedvc.pose import Pose, inverse
+
+__all__ = ["RayGrid", "cells_from_camera"]
+
+TILES = 64
+
+
+class RayGrid:
+    """One ray through every pixel, or several.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    supersample
+        Rays along each side of a pixel.
+
+    Attributes
+    ----------
+    slopes
+        (n, 2) float64 undistorted slopes, row by row.
+    origin, size
+        (2,) first corner and extent of a tile.
+    """
+
+    def __init__(self, camera: Camera, supersample: int = 1) -> None:
+        fine = camera.resized(camera.width * supersample, camera.height * supersample) if supersample > 1 else camera
+        self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
+        low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
+        self.origin = low
+        self.size = (high - low) / TILES + 1e-9
+
+    def ranges(
+        self, index: BlockIndex, T_camera_object: Pose, voxel_size_m: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return nearest and furthest depth (TILES, TILES) at which a block can be met; near > far: none."""
+        near, far = np.full((TILES, TILES), 1e9), np.zeros((TILES, TILES))
+        T = T_camera_object[:3].copy()
+        T[:, 3] += (T[:, 0] + T[:, 1] + T[:, 2]) * (0.5 * voxel_size_m)
+        T[:, :3] *= voxel_size_m
+        tile_ranges(index.coords, index.count, T, self.origin, self.size, near, far)
+        return near, far
+
+
+def cells_from_camera(T_camera_object: Pose, voxel_size_m: float) -> NDArray[np.float64]:
+    """Return the (3, 4) map from camera coordinates in metres to cells whose centres are integers."""
+    T = inverse(T_camera_object)[:3] / voxel_size_m
+    T[:, 3] -= 0.5
+    return T

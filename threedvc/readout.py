@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: MIT
+"""MAP read-out of an object's evidence, and the choice of what to send (sec. 2.1).
+
+A ray is stopped by the first occupied cell, so only cells at the surface are read out: those nearest to
+a change of sign of the mean signed distance whose log-odds say occupied. The rest of the occupied cells
+can never be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.block_index import BLOCK_CELLS
+from threedvc.kernels.surface import count_neighbours, mark_surface
+from threedvc.model_update import ModelUpdate
+from threedvc.object_model import DecodedModel, EvidenceModel
+from threedvc.parallel import for_ranges
+
+__all__ = ["Surface", "changes", "first_sights", "read_surface"]
+
+MIN_WEIGHT = 0.02
+CONFIDENT_LOG_ODDS = 2.0
+EMPTY_LOG_ODDS = -2.0
+MIN_NEIGHBOURS = 3
+RECOLOR_LEVELS = 16.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """Surface cells of an object.
+
+    Attributes
+    ----------
+    cells
+        (n, 3) int32, in Morton order.
+    colors
+        (n, 3) int16 RGB.
+    first_seen
+        (n,) int32 frame in which the cell was first measured.
+    """
+
+    cells: NDArray[np.int32]
+    colors: NDArray[np.int16]
+    first_seen: NDArray[np.int32]
+
+    def part(self, chosen: NDArray[np.bool_]) -> Surface:
+        """Return the cells where `chosen` (n,) is true."""
+        return Surface(cells=self.cells[chosen], colors=self.colors[chosen], first_seen=self.first_seen[chosen])
+
+
+def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0) -> Surface:
+    """Read the surface out of the evidence; specks of fewer than four touching cells are noise."""
+    index, count = model.index, model.index.count
+    flags = np.zeros((count, BLOCK_CELLS), dtype=np.uint8)
+
+    def mark(start: int, stop: int) -> None:
+        mark_surface(
+            start, stop, index.coords, index.tables, model.voxel_size_m, model.distance, model.distance_weight,
+            model.log_odds, MIN_WEIGHT, min_log_odds, flags,
+        )  # fmt: skip
+
+    for_ranges(mark, count, threads)
+    cells, positions = index.flagged(flags)
+    neighbours = np.zeros(len(cells), dtype=np.int32)
+    count_neighbours(cells, positions, index.tables, flags.reshape(-1), neighbours)
+    cells, positions = cells[neighbours >= MIN_NEIGHBOURS], positions[neighbours >= MIN_NEIGHBOURS]
+    return Surface(cells=cells, colors=_colors(model, positions), first_seen=model.first_seen.reshape(-1)[positions])
+
+
+def _colors(model: EvidenceModel, positions: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return the mean colours; a cell never seen in colour takes the one before it in Morton order."""
+    colors = np.round(model.color.reshape(-1, 3)[positions]).astype(np.int16)
+    known = model.color_weight.reshape(-1)[positions] > 0
+    if known.all():
+        return colors
+    if not known.any():
+        return np.full_like(colors, 128)
+    nearest = np.maximum.accumulate(np.where(known, np.arange(len(known)), int(np.argmax(known))))
+    return colors[nearest]
+
+
+def first_sights(surface: Surface, sent: DecodedModel, until_frame: int | None) -> ModelUpdate:
+    """Choose the cells first seen before `until_frame` (None: all) that were not sent yet (two-pass)."""
+    due = np.ones(len(surface.cells), dtype=bool) if until_frame is None else surface.first_seen < until_frame
+    due &= ~_is_sent(sent, surface.cells)
+    return _update(surface.part(due), _nothing(), surface.part(np.zeros(len(due), dtype=bool)))
+
+
+def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpdate:
+    """Choose what is worth sending now (live).
+
+    A cell appears when its log-odds are confident and no cell within one cell of it was sent (noise makes
+    the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour when the
+    mean has moved by more than 16 levels.
+    """
+    surface = read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS)
+    known = _is_sent(sent, surface.cells)
+    near = np.zeros(len(surface.cells), dtype=np.int32)
+    count_neighbours(surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near)
+    moved = np.zeros(len(known), dtype=bool)
+    positions = sent.index.locate(surface.cells[known])
+    drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
+    moved[known] = drift > RECOLOR_LEVELS
+    fresh = ~known & ((near == 0) | _frontier(near))
+    return _update(surface.part(fresh), _vanished(model, sent), surface.part(moved))
+
+
+def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell cells that continue a sent surface at its edge from cells that double it."""
+    return near <= 3
+
+
+def _vanished(model: EvidenceModel, sent: DecodedModel) -> NDArray[np.int32]:
+    cells, _ = sent.cells()
+    positions = model.index.locate(cells)
+    return cells[model.log_odds.reshape(-1)[positions] < EMPTY_LOG_ODDS]
+
+
+def _is_sent(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
+    positions = sent.index.locate(cells)
+    known = positions >= 0
+    known[known] = sent.occupied.reshape(-1)[positions[known]] != 0
+    return known
+
+
+def _nothing() -> NDArray[np.int32]:
+    return np.empty((0, 3), dtype=np.int32)
+
+
+def _update(added: Surface, removed: NDArray[np.int32], recolored: Surface) -> ModelUpdate:
+    return ModelUpdate(
+        added=added.cells,
+        added_colors=added.colors,
+        removed=removed,
+        recolored=recolored.cells,
+        recolored_colors=recolored.colors,
+    )

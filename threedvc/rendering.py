@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: MIT
+"""Redraw a frame: first-opacity ray casting of all objects at their poses, composited by depth.
+
+Both sides run this on decoded models. Only + - * /, sqrt and floor are used, rays are independent of
+each other, and colours are summed in a fixed order: the pictures are the same on every machine and
+for any number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.block_index import BLOCK_CELLS, BlockIndex
+from threedvc.camera import CameraRig
+from threedvc.config import RenderConfig
+from threedvc.kernels.raycast import OPACITY, cast_rays
+from threedvc.kernels.render_blocks import build_block, fit_planes
+from threedvc.object_model import DecodedModel
+from threedvc.parallel import for_ranges
+from threedvc.pose import Pose, compose
+from threedvc.ray_grid import RayGrid, cells_from_camera
+
+__all__ = ["Picture", "RenderModel", "Renderer"]
+
+BORDERED_CELLS = 9**3
+PLANE_WEIGHTS = np.array([0.25, 0.75, 1.0, 0.75, 0.25])
+SMALL_PICTURE = 320 * 240
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Picture:
+    """A drawn frame.
+
+    Attributes
+    ----------
+    color
+        (h, w, 3) uint8 RGB in the colour camera.
+    depth
+        (h, w) float32 metres in the depth camera, 0 = nothing there.
+    labels
+        (h, w) uint8 object numbers in the depth camera, 0 = background or nothing.
+    """
+
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+
+
+class RenderModel:
+    """A decoded model in the form that rays walk through; kept up to date by `refresh`."""
+
+    def __init__(self, model: DecodedModel) -> None:
+        self.model = model
+        self.index = BlockIndex()
+        self.near = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.state = np.zeros((0, BORDERED_CELLS), dtype=np.uint8)
+        self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
+        self.color = np.zeros((0, BORDERED_CELLS, 3), dtype=np.int16)
+        self._planes = np.zeros((0, BLOCK_CELLS, 4), dtype=np.int8)
+
+    def refresh(self, threads: int) -> None:
+        """Rebuild the blocks around everything that changed since the last call."""
+        dirty = self.model.take_dirty()
+        if not len(dirty):
+            return
+        model = self.model
+        if len(model.occupied) > len(self._planes):
+            more = np.zeros((len(model.occupied) - len(self._planes), BLOCK_CELLS, 4), dtype=np.int8)
+            self._planes = np.concatenate([self._planes, more])
+        around = _shifted(dirty, (-1, 0, 1))
+        positions = model.index.locate(around * 8)
+        numbers = positions[positions >= 0] // BLOCK_CELLS
+
+        def plane_range(start: int, stop: int) -> None:
+            fit_planes(
+                numbers, start, stop, model.index.coords, model.index.tables, model.occupied, PLANE_WEIGHTS, self._planes
+            )
+
+        for_ranges(plane_range, len(numbers), threads)
+        self._build(_shifted(model.index.coords[numbers], (-1, 0)), threads)
+
+    def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
+        near = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
+        state = np.empty((len(blocks), BORDERED_CELLS), dtype=np.uint8)
+        plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
+        color = np.empty((len(blocks), BORDERED_CELLS, 3), dtype=np.int16)
+        targets = np.arange(len(blocks))
+        model = self.model
+
+        def block_range(start: int, stop: int) -> None:
+            build_block(
+                targets, blocks, start, stop, model.index.tables, model.occupied, self._planes, model.color, near,
+                state, plane, color,
+            )  # fmt: skip
+
+        for_ranges(block_range, len(blocks), threads)
+        keep = near.any(axis=1) | (self.index.locate(blocks * 8) >= 0)
+        self.index.insert(blocks[keep])
+        self._grow()
+        slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
+        self.near[slots], self.state[slots] = near[keep], state[keep]
+        self.plane[slots], self.color[slots] = plane[keep], color[keep]
+
+    def _grow(self) -> None:
+        more = max(self.index.count, len(self.near) * 3 // 2) - len(self.near)
+        if self.index.count <= len(self.near):
+            return
+        for name in ("near", "state", "plane", "color"):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
+
+
+def _shifted(blocks: NDArray[np.int32], shifts: tuple[int, ...]) -> NDArray[np.int32]:
+    """Return the distinct blocks reached from `blocks` (n, 3) by any combination of shifts."""
+    offsets = np.array([(x, y, z) for x in shifts for y in shifts for z in shifts], dtype=np.int32)
+    return np.unique((blocks[:, None] + offsets).reshape(-1, 3), axis=0)
+
+
+class Renderer:
+    """Draws models for one rig; keeps the rays of its cameras.
+
+    Parameters
+    ----------
+    rig
+        Cameras of the pictures to draw.
+    config
+        See `RenderConfig`.
+    """
+
+    def __init__(self, rig: CameraRig, config: RenderConfig | None = None) -> None:
+        self.rig = rig
+        self.config = config or RenderConfig()
+        small = rig.color.width * rig.color.height <= SMALL_PICTURE
+        self.supersample = self.config.supersample or (2 if small else 1)
+        self._depth_rays = RayGrid(rig.depth, 1)
+        one_cast = rig.registered and self.supersample == 1
+        self._color_rays = self._depth_rays if one_cast else RayGrid(rig.color, self.supersample)
+
+    def draw(self, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], *, color: bool = True) -> Picture:
+        """Draw one frame.
+
+        Parameters
+        ----------
+        models
+            Objects by number, refreshed.
+        poses
+            T_camera_object of every object to draw, for the depth camera.
+        color
+            False leaves the colour picture black and saves its rays.
+
+        Returns
+        -------
+        Picture
+            Pixels that no ray of theirs finds an object for have depth 0; their colour is interpolated
+            from around.
+        """
+        rig, rays = self.rig, self._depth_rays
+        one_cast = self._color_rays is rays
+        depth, shade, labels = self._cast(rays, models, poses, color and one_cast)
+        if color and not one_cast:
+            moved = {number: compose(rig.T_color_depth, poses[number]) for number in poses}
+            hit, shade, _ = self._cast(self._color_rays, models, moved, True)
+        else:
+            hit = depth
+        picture = self._pixels(shade, hit) if color else np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
+        shape = (rig.depth.height, rig.depth.width)
+        return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape))
+
+    def _cast(
+        self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], with_color: bool
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+        count = len(rays.slopes)
+        depth = np.zeros(count, dtype=np.float32)
+        color = np.zeros((count, 3), dtype=np.float32)
+        labels = np.zeros(count, dtype=np.uint8)
+        for number in sorted(poses):
+            model = models[number]
+            if not model.index.count:
+                continue
+            T_cells_camera = cells_from_camera(poses[number], model.model.voxel_size_m)
+            near, far = rays.ranges(model.index, poses[number], model.model.voxel_size_m)
+
+            def ray_range(
+                start: int,
+                stop: int,
+                model: RenderModel = model,
+                number: int = number,
+                T_cells_camera: Pose = T_cells_camera,
+                near: NDArray[np.float64] = near,
+                far: NDArray[np.float64] = far,
+            ) -> None:
+                cast_rays(
+                    rays.slopes, start, stop, T_cells_camera, rays.origin, rays.size, near, far, model.index.coords,
+                    model.index.tables,                    model.near, model.state, model.plane, model.color, number, with_color, OPACITY, depth, color, labels,
+                )  # fmt: skip
+
+            for_ranges(ray_range, count, self.config.threads)
+        return depth, color, labels
+
+    def _pixels(self, color: NDArray[np.float32], depth: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Average the rays of each pixel and fill what none of them hit."""
+        camera, s = self.rig.color, self.supersample
+        shape = (camera.height, s, camera.width, s)
+        hits = (depth > 0).astype(np.float32).reshape(shape)
+        shade = color.reshape(*shape, 3)
+        total = np.zeros((camera.height, camera.width, 3), dtype=np.float32)
+        weight = np.zeros((camera.height, camera.width, 1), dtype=np.float32)
+        for i in range(s):
+            for j in range(s):
+                weight += hits[:, i, :, j, None]
+                total += shade[:, i, :, j]
+        filled = _fill(total, weight)
+        return np.floor(np.clip(filled, 0, 255) + np.float32(0.5)).astype(np.uint8)
+
+
+def _fill(total: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Divide by the weight; where it is 0, take the value of a coarser level (pull-push)."""
+    height, width = weight.shape[:2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = np.where(weight > 0, total / weight, np.float32(0))
+    if weight.all() or height * width == 1:
+        return value
+    known = (weight > 0).astype(np.float32)
+    coarse = _fill(_halved(value * known), _halved(known))
+    up = np.repeat(np.repeat(coarse, 2, axis=0)[:height], 2, axis=1)[:, :width]
+    return np.where(weight > 0, value, up)
+
+
+def _halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Sum 2x2 pixels; an odd last row or column stands alone."""
+    height, width = values.shape[:2]
+    padded = np.pad(values, ((0, height % 2), (0, width % 2), (0, 0)))
+    rows = padded[0::2] + padded[1::2]
+    return rows[:, 0::2] + rows[:, 1::2]

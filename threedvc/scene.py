@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: MIT
+"""The encoder's view of a sequence: its objects, their evidence, and where they are in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.config import EncoderConfig, Motion, SegmentationMode, Sensor
+from threedvc.evidence_view import Thinned
+from threedvc.frame import Frame, SequenceInfo
+from threedvc.fusion import Observation, fuse, observe
+from threedvc.motion import Located, Tracker, known_pose, motion_of
+from threedvc.object_model import EvidenceModel
+from threedvc.pose import Pose, identity
+from threedvc.segmentation import segment
+from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
+from threedvc.uncertainty import EntropyMeter
+
+__all__ = ["Scene", "SceneObject", "default_voxel_size"]
+
+MIN_PIXELS = 30
+PIXELS_PER_CELL = 4.0
+MIN_PIXELS_PER_CELL = 1.6
+REFERENCE_PIXELS = 640 * 480
+STATUS_ORDER = ("known", "tracked", "weak", "lost")
+
+
+def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], info: SequenceInfo) -> float:
+    """Choose a cell that covers about four pixels at the object's median depth in a 640x480 picture.
+
+    Small pictures get finer cells against their pixels; the size is rounded to a millimetre.
+    """
+    seen = depth[mask & (depth > 0)]
+    distance = float(np.median(seen)) if len(seen) else 1.0
+    pixels = max(PIXELS_PER_CELL * float(np.sqrt(depth.size / REFERENCE_PIXELS)), MIN_PIXELS_PER_CELL)
+    return max(round(pixels * distance / info.rig.depth.fx, 3), 0.001)
+
+
+class SceneObject:
+    """One object in the encoder.
+
+    Attributes
+    ----------
+    number
+        Its number; 0 is the background.
+    evidence
+        Its model.
+    poses
+        T_camera_object of every frame so far; before the first sight that of the first sight.
+    """
+
+    def __init__(self, number: int, voxel_size_m: float, tracker: Tracker | None) -> None:
+        self.number = number
+        self.evidence = EvidenceModel(voxel_size_m)
+        self.tracker = tracker
+        self.entropy = EntropyMeter(self.evidence)
+        self.poses: list[Pose] = []
+        self.born: int | None = None
+
+    def locate(self, frame: Frame, mask: NDArray[np.bool_], luma: NDArray[np.float32] | None, alone: bool) -> Located | None:
+        """Find the object in a frame; None where it is not seen and its pose is not known."""
+        if self.tracker is None or luma is None:
+            pose = known_pose(self.number, frame, alone)
+            return None if pose is None else Located(T_camera_object=pose, status="known")
+        if np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
+            return None
+        if self.born is None:
+            return self.tracker.start(frame, mask, self.number)
+        return self.tracker.locate(frame, mask, self.evidence, luma)
+
+    def record(self, frame: int, pose: Pose | None) -> None:
+        """Keep the pose of a frame; an unseen object keeps its last one."""
+        if pose is None:
+            pose = self.poses[-1] if self.poses else identity()
+        elif self.born is None:
+            self.born = frame
+            self.poses = [pose] * frame
+        self.poses.append(pose)
+
+
+class Scene:
+    """All objects; grows by one frame at a time.
+
+    Parameters
+    ----------
+    info
+        The sequence.
+    config
+        Choices.
+    """
+
+    def __init__(self, info: SequenceInfo, config: EncoderConfig) -> None:
+        self.info, self.config = info, config
+        self.objects: dict[int, SceneObject] = {}
+        self.timestamps: list[int] = []
+        self._thinned = Thinned(info.rig)
+        self._rays = info.rig.depth.rays()
+        self._sensor: SensorModel | None = None
+
+    @property
+    def entropy_bits(self) -> float:
+        """Entropy of all models."""
+        return sum(item.entropy.bits for item in self.objects.values())
+
+    def add(self, frame: Frame) -> str:
+        """Take in one frame: segment, locate, fuse. Return the worst status of its objects."""
+        frame = self._limited(frame)
+        labels = segment(frame, self.config.segmentation, self.info)
+        seen = observe(frame, self.info.rig, self._rays)
+        sensor = self._sensor_of(frame)
+        luma: NDArray[np.float32] | None = None
+        worst = STATUS_ORDER[0]
+        for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
+            mask = labels == number
+            item = self._object(number, frame, mask, sensor)
+            if item is None:
+                continue
+            if item.tracker is not None and luma is None:
+                luma = self._thinned.luma(frame)
+            found = item.locate(frame, mask, luma, self._one_object)
+            item.record(frame.index, None if found is None else found.T_camera_object)
+            if found is not None:
+                worst = max(worst, str(found.status), key=STATUS_ORDER.index)
+                if found.usable:
+                    self._fuse(item, seen, mask, found.T_camera_object, sensor)
+        self.timestamps.append(frame.timestamp_ns)
+        return worst
+
+    def poses(self, frame: int) -> Mapping[int, Pose]:
+        """Return T_camera_object of every object in a frame."""
+        return {number: item.poses[frame] for number, item in self.objects.items()}
+
+    @property
+    def _one_object(self) -> bool:
+        return self.config.segmentation.mode is SegmentationMode.DEPTH
+
+    def _limited(self, frame: Frame) -> Frame:
+        limit = self.config.max_depth_m
+        if limit is None:
+            return frame
+        return replace(frame, depth=np.where(frame.depth <= limit, frame.depth, np.float32(0)))
+
+    def _sensor_of(self, frame: Frame) -> SensorModel:
+        if self._sensor is None:
+            chosen = self.config.sensor
+            self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
+        return self._sensor
+
+    def _object(self, number: int, frame: Frame, mask: NDArray[np.bool_], sensor: SensorModel) -> SceneObject | None:
+        """Return an object, new where enough pixels show it for the first time."""
+        if number in self.objects:
+            return self.objects[number]
+        if number and np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
+            return None
+        size = self.config.voxel_size_m or default_voxel_size(frame.depth, mask, self.info)
+        tracker = None
+        if not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK:
+            tracker = Tracker(self._thinned, sensor, self.config.threads)
+        self.objects[number] = SceneObject(number, size, tracker)
+        return self.objects[number]
+
+    def _stands_still(self, number: int) -> bool:
+        """The background of a depth threshold is static by definition, unless the camera's poses are known."""
+        return number == 0 and self._one_object and not self.info.has_camera_poses
+
+    def _fuse(
+        self, item: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose, sensor: SensorModel
+    ) -> None:
+        numbers = fuse(item.evidence, seen, mask, pose, sensor, self.config.fusion, self.config.threads)
+        item.entropy.update(numbers, self.config.threads)

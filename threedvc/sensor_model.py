@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Sensor models p(r|z): how a depth sensor's reading scatters around the true depth (sec. 2.3).
+
+The reading is Gaussian around the depth of the nearest occupied cell, or an outlier with a small
+probability. The axial deviation is a polynomial in depth plus the rounding of the disparity:
+
+    sigma(z)^2 = (s0 + s1 z + s2 z^2)^2 + (q z^2)^2 / 12
+
+A surface lies anywhere within its cell, so the ray sum adds the variance of a uniform distribution
+over the cell, ``h^2 / 12``. Likelihoods are taken relative to the peak of the Gaussian; the outlier
+weight is relative to it as well, so it follows the evidence near the measured range instead of
+standing as a constant against a product of thousands of priors (which would let the exact sum
+explain every far reading as an outlier).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.config import Sensor
+from threedvc.errors import ConfigError
+
+__all__ = ["SENSORS", "SensorModel", "guess_sensor"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorModel:
+    """A depth sensor.
+
+    Parameters
+    ----------
+    s0_m, s1, s2_per_m
+        Axial deviation ``s0 + s1 z + s2 z^2`` in metres at depth z in metres.
+    quantum_per_m
+        Rounding step in metres at 1 m; it grows as z^2 (disparity sensors).
+    outlier
+        Likelihood of an outlying reading, relative to the Gaussian's peak.
+    """
+
+    s0_m: float = 0.0
+    s1: float = 0.0
+    s2_per_m: float = 0.0
+    quantum_per_m: float = 0.0
+    outlier: float = 0.02
+
+    def __post_init__(self) -> None:
+        if min(self.s0_m, self.s1, self.s2_per_m, self.quantum_per_m) < 0 or not 0 < self.outlier < 1:
+            raise ConfigError(f"sensor model {self} must have non-negative deviations and an outlier weight within 0..1")
+
+    @overload
+    def sigma_m(self, z: float) -> float: ...
+    @overload
+    def sigma_m(self, z: NDArray[np.floating]) -> NDArray[np.floating]: ...
+    def sigma_m(self, z):  # type: ignore[no-untyped-def]
+        """Return the axial deviation in metres at depth `z` in metres."""
+        axial = self.s0_m + z * (self.s1 + z * self.s2_per_m)
+        return np.sqrt(axial * axial + (self.quantum_per_m * z * z) ** 2 / 12)
+
+    def parameters(self) -> NDArray[np.float64]:
+        """Return ``s0, s1, s2, q, outlier`` for the kernels."""
+        return np.array([self.s0_m, self.s1, self.s2_per_m, self.quantum_per_m, self.outlier])
+
+
+SENSORS = {
+    Sensor.IDEAL: SensorModel(s0_m=0.0003),
+    Sensor.KINECT1: SensorModel(s2_per_m=0.0012, quantum_per_m=0.0029),
+    Sensor.REALSENSE: SensorModel(s0_m=0.001, s2_per_m=0.0025, quantum_per_m=0.002, outlier=0.05),
+    Sensor.LIDAR: SensorModel(s0_m=0.004, s1=0.002),
+}
+
+
+def guess_sensor(depth: NDArray[np.float32]) -> Sensor:
+    """Tell a noise-free depth map from a noisy one by its roughness.
+
+    Parameters
+    ----------
+    depth
+        (height, width) float32 metres, 0 = no measurement.
+
+    Returns
+    -------
+    Sensor
+        IDEAL where the second difference along rows is at the level of rounding, else KINECT1.
+    """
+    left, middle, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
+    bend = np.abs(left - 2 * middle + right)
+    smooth = (left > 0) & (middle > 0) & (right > 0) & (bend < 0.05 * middle)
+    if np.count_nonzero(smooth) < 100:
+        return Sensor.KINECT1
+    z = middle[smooth]
+    deviation = float(np.sqrt(np.mean(np.minimum(bend[smooth] / z**2, 0.02) ** 2) / 6))
+    return Sensor.IDEAL if deviation < 0.0008 else Sensor.KINECT1
