@@ -101,7 +101,7 @@ def _configuration(choices: dict[str, Any]) -> EncoderConfig:
 
 
 def _summary(report: EncodeReport, output: Path) -> str:
-    lost = f", {len(report.lost_frames)} frames lost" if report.lost_frames else ""
+    lost = f", lost: {len(report.lost_frames)}" if report.lost_frames else ""
     return (
         f"{output}: {report.frames} frames, {report.file_bytes:,} bytes, "
         f"{report.file_bytes * 8 / report.duration_s / 1000:.1f} kbit/s, "

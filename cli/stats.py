@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["stats"]
 
-COLUMN = 16
+COLUMN = 18
 FRAME_COLUMNS = ("frame", "timestamp_ns", "bytes", "entropy_bits", "status")
 
 
@@ -70,7 +70,9 @@ def _lines(report: StreamStatistics) -> Iterator[str]:
     yield from _course(report)
     yield _row("paper", _paper(report))
     yield from _motion(report)
-    yield from (_row(name, _measure(name, value)) for name, value in (report.quality or {}).items())
+    if report.quality is not None:
+        yield ""
+        yield from (_row(name, _measure(name, value)) for name, value in report.quality.items())
 
 
 def _row(name: str, text: str) -> str:
@@ -100,7 +102,9 @@ def _course(report: StreamStatistics) -> Iterator[str]:
         yield _row("bytes per frame", f"mean {mean:.0f}, largest {largest.bytes:,} (frame {largest.frame})")
     entropy = [item.entropy_bits for item in report.per_frame if item.entropy_bits is not None]
     if entropy:
-        yield _row("entropy", f"{entropy[0]:,.0f} bits at first, {max(entropy):,.0f} at most, {entropy[-1]:,.0f} at last")
+        yield _row(
+            "entropy", f"{entropy[0]:,.0f} bits at first, {max(entropy):,.0f} at most, {entropy[-1]:,.0f} at last"
+        )
     if report.status:
         yield _row("poses", ", ".join(f"{count} {status}" for status, count in report.status.items()))
 

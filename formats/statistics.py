@@ -104,7 +104,8 @@ class StreamStatistics:
     per_frame
         In order of time.
     paper
-        Equations (8) to (10); M and F_m count the objects that move, the background's included.
+        Equations (8) to (10); M and F_m sum over the objects that move, which the background does when
+        the camera does.
     camera, object_motion
         Error of the camera's trajectory, and of the camera's trajectory in the frame of each object.
     quality
@@ -170,7 +171,7 @@ class StreamStatistics:
         }
         if self.quality is not None:
             report["quality"] = dict(self.quality)
-        return _finite(report)
+        return {name: _finite(value) for name, value in report.items()}
 
     def to_json(self) -> str:
         """Return the report as JSON text."""
@@ -232,24 +233,38 @@ def statistics(
 def _file(source: StreamSource) -> Iterator[tuple[BinaryIO, str]]:
     """Open the source as a file that can be read several times, and name it."""
     if isinstance(source, str | os.PathLike) and os.fspath(source) != STANDARD_INPUT:
-        try:
-            file = open(source, "rb")
-        except OSError as error:
-            raise FormatError(f"{os.fspath(source)}: cannot be opened: {error.strerror}; check the name") from None
-        with file:
+        with _opened(source) as file:
             yield file, os.fspath(source)
         return
     stream = sys.stdin.buffer if isinstance(source, str | os.PathLike) else source
     with tempfile.TemporaryFile() as copy:
         shutil.copyfileobj(stream, copy)
         copy.seek(0)
-        yield copy, "standard input" if stream is sys.stdin.buffer else "stream"
+        yield copy, "standard input" if stream is not source else "stream"
+
+
+def _opened(path: str | os.PathLike[str]) -> BinaryIO:
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise FormatError(f"{os.fspath(path)}: cannot be opened: {error.strerror}; check the name") from None
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Put the name of the stream before the message of an error that does not have it: a decoder knows no files."""
+    try:
+        yield
+    except FormatError as error:
+        if str(error).startswith(f"{name}: "):
+            raise
+        raise type(error)(f"{name}: {error}") from None
 
 
 def _report(file: BinaryIO, name: str) -> StreamStatistics:
     tally, decoder, times = Tally(), Decoder(), []
     packets = tally.counted(StreamReader(file, name).records())
-    with suppress(TruncatedStream):
+    with suppress(TruncatedStream), _named(name):
         for state in decoder.frames(packets):
             times.append(state.timestamp_ns)
     if decoder.header is None:
@@ -303,7 +318,9 @@ def _per_frame(times: Sequence[int], sizes: Sequence[int], report: StreamReport 
     entropies, status = (report.entropy_bits, report.status) if report is not None else ((), ())
     return [
         FrameStatistics(frame=frame, timestamp_ns=time, bytes=size, entropy_bits=bits, status=outcome)
-        for frame, (time, size, bits, outcome) in enumerate(islice(zip_longest(times, sizes, entropies, status), len(times)))
+        for frame, (time, size, bits, outcome) in enumerate(
+            islice(zip_longest(times, sizes, entropies, status), len(times))
+        )
     ]
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ def cells_update(count: int) -> ModelUpdate:
     )
 
 
-def packed_stream(*, ended: bool = True, grey: bool = False) -> bytes:
+def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = False) -> bytes:
     """Return a stream of two batches of two frames: object 0 (300 cells) stands, object 1 (125 cells) moves."""
     sink = io.BytesIO()
     writer = StreamWriter(sink)
@@ -90,7 +91,8 @@ def packed_stream(*, ended: bool = True, grey: bool = False) -> bytes:
     writer.write(pack_batch(BatchHeader(frame=2, count=2), second))
     if ended:
         writer.write(report_packet(REPORTS))
-        writer.write(EndHeader(frames=FRAMES, digest=models_digest(models)).packet())
+        digest = bytes(16) if drifted else models_digest(models)
+        writer.write(EndHeader(frames=FRAMES, digest=digest).packet())
     return sink.getvalue()
 
 
@@ -163,7 +165,8 @@ class FakeStream:
     def __init__(self, source: Any, **choices: Any) -> None:
         self.choices = choices
         self.info = INFO
-        self._reader = StreamReader(source if hasattr(source, "read") else open(source, "rb"), str(source))
+        data = source if hasattr(source, "read") else io.BytesIO(Path(source).read_bytes())
+        self._reader = StreamReader(data, str(source))
 
     def __iter__(self) -> Iterator[FakeDecodedFrame]:
         for packet in self._reader:

@@ -35,7 +35,7 @@ from threedvc.pose import Pose, compose, identity, inverse, make_pose
 from threedvc.report import StreamReport, unpack_report
 from threedvc.wire import ByteReader
 
-__all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "rig_of"]
+__all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "nearest_multiple", "rig_of"]
 
 DIGEST_BYTES = 16
 
@@ -96,6 +96,11 @@ def rig_of(header: StreamHeader) -> CameraRig:
         return CameraRig(color=color, depth=depth, T_color_depth=T)
     except ConfigError as error:
         raise CorruptStream(f"STREAM header: {error}") from None
+
+
+def nearest_multiple(frame: int, period_num: int, period_den: int) -> int:
+    """Return ``frame * period_num / period_den`` rounded to the nearest integer, halves up."""
+    return (2 * frame * period_num + period_den) // (2 * period_den)
 
 
 def _camera(values: tuple[float, ...]) -> Camera:
@@ -240,7 +245,7 @@ class Decoder:
 
     def _state(self, frame: int) -> FrameState:
         assert self.header is not None
-        nominal = self.header.start_ns + frame * self.header.period_num // self.header.period_den
+        nominal = self.header.start_ns + nearest_multiple(frame, self.header.period_num, self.header.period_den)
         self.frame_count = frame + 1
         poses = camera_poses(self._scripts)
         return FrameState(

@@ -17,7 +17,7 @@ from threedvc.coding.color import ColorSettings
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig
-from threedvc.decoder import models_digest
+from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.frame import NANOSECONDS, SequenceInfo
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
@@ -182,7 +182,7 @@ class Emitter:
 
     def _clock_packets(self, first: int, stop: int) -> Iterator[Packet]:
         start = self._scene.timestamps[0]
-        nominal = [start + frame * self._clock[0] // self._clock[1] for frame in range(first, stop)]
+        nominal = [start + nearest_multiple(frame, *self._clock) for frame in range(first, stop)]
         off = [stamp - due for stamp, due in zip(self._scene.timestamps[first:stop], nominal, strict=True)]
         if any(off):
             yield ClockHeader(frame=first, count=stop - first).packet(b"".join(map(pack_signed_varint, off)))

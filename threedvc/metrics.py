@@ -75,8 +75,9 @@ def _decibel(difference: NDArray[np.float32]) -> float:
 
 def luma(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return ``0.299 R + 0.587 G + 0.114 B`` of an (h, w, 3) RGB picture, (h, w) float32, not rounded."""
-    weighted = picture.astype(np.float32) * LUMA_WEIGHTS
-    return weighted[..., 0] + weighted[..., 1] + weighted[..., 2]
+    red, green, blue = np.moveaxis(picture.astype(np.float32), -1, 0)
+    weighted: NDArray[np.float32] = LUMA_WEIGHTS[0] * red + LUMA_WEIGHTS[1] * green + LUMA_WEIGHTS[2] * blue
+    return weighted
 
 
 def ssim_y(reference: NDArray[np.uint8], decoded: NDArray[np.uint8]) -> float:

@@ -226,8 +226,8 @@ class StreamHeader(Header):
     depth_scale
         Units per metre of 16-bit depth pictures, 0 = no measurement.
     start_ns, period_num, period_den
-        Frame k stands at ``start_ns + k * period_num // period_den`` nanoseconds, unless a CLOCK
-        packet corrects it.
+        Frame k stands at ``start_ns + k * period_num / period_den`` nanoseconds, rounded to the nearest
+        (halves up), unless a CLOCK packet corrects it.
     translation_step_m, rotation_step_rad
         Quantisation of poses.
     grey

@@ -446,9 +446,10 @@ class Problem:
         surface, sigma = self._sample_surface(depth, mask, sigma_m)
         lumas = self._luma_levels(_masked(intensity, mask))
         self.samples = [_level_samples(surface, sigma, luma, level) for level, luma in enumerate(lumas)]
-        self.centre = surface[:, :3].mean(axis=0) if len(surface) else np.array([0.0, 0.0, 1.0])
-        offsets = surface[:, :3] - self.centre
-        self.radius = float(np.sqrt(np.mean(np.sum(offsets**2, axis=1)))) + 1e-9 if len(surface) else 1.0
+        # Medians, because a few readings may be absurdly far.
+        self.centre = np.median(surface[:, :3], axis=0) if len(surface) else np.array([0.0, 0.0, 1.0])
+        ways = np.linalg.norm(surface[:, :3] - self.centre, axis=1)
+        self.radius = _median(ways, 1.0) + 1e-9
 
     def solve(self, T_guess: Pose, *, finest: int = 0) -> Registration:
         """Refine a pose from the coarsest level to level `finest` and judge the result."""
@@ -469,7 +470,7 @@ class Problem:
                 if step.pixels < limit:
                     break
         exposure = exposure if not finest else None
-        return self._judge(orthonormalised(T_view_frame), exposure, conditioning, steps)
+        return self._judge(T_view_frame, exposure, conditioning, steps)
 
     def solve_near(self, T_guess: Pose) -> Registration:
         """Refine a guess; lost, with the guess as its pose, if what is found is bad or implausibly far from it."""
@@ -642,7 +643,8 @@ class Problem:
         return _Step(motion, pixels, exposure, conditioning)
 
     def _judge(self, T_view_frame: Pose, exposure: Doubles | None, conditioning: float, steps: int) -> Registration:
-        T_camera_object = inverse(T_view_frame) @ self.view.T_camera_object
+        # Without this, rounding errors of predicted poses would more than double from frame to frame.
+        T_camera_object = orthonormalised(inverse(T_view_frame) @ self.view.T_camera_object)
         fit = self._associate(T_view_frame, 0, exposure)
         if fit is None:
             return _lost(T_camera_object, steps)

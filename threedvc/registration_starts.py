@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import Camera
-from threedvc.pose import Pose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.pose import Pose, inverse, make_pose, orthonormalised, rotation_from_vector
 from threedvc.registration import ModelView, Problem, Registration, RegistrationConfig, Sigma, Status, camera_rays
 
 __all__ = ["feature_start", "other_starts", "predict", "register_from_starts"]
@@ -36,7 +36,7 @@ MATCH_DISTANCE = 0.02
 
 def predict(T_before: Pose, T_previous: Pose) -> Pose:
     """Return the pose that follows two poses at constant velocity."""
-    return T_previous @ inverse(T_before) @ T_previous
+    return orthonormalised(T_previous @ inverse(T_before) @ T_previous)
 
 
 def register_from_starts(

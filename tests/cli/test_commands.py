@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from streams import FRAMES, FakeStream, ListSequence, packed_stream
 
 import threedvc
+from streams import FRAMES, FakeStream, ListSequence, packed_stream
 from threedvc.cli.encode import LAYOUTS, SENSORS
 from threedvc.cli.main import main
 from threedvc.config import Motion, SegmentationMode, Sensor
@@ -28,8 +28,6 @@ from threedvc.formats import api
 from threedvc.formats import statistics as statistics_module
 from threedvc.formats.sinks import PlainSink
 from threedvc.formats.sources import layout_names
-
-MIB = 1 << 20
 
 
 def run(*arguments: object, **options: Any) -> Result:
@@ -209,7 +207,7 @@ class TestEncode:
         result = run("encode", recording, "k.3dvc")
         assert result.stdout == ""
         assert result.stderr == (
-            "k.3dvc: 4 frames, 5,000 bytes, 200.0 kbit/s, cells of 16 mm, 2.0 frames/s, 1 frames lost\n"
+            "k.3dvc: 4 frames, 5,000 bytes, 200.0 kbit/s, cells of 16 mm, 2.0 frames/s, lost: 1\n"
         )
 
     def test_json(self, fake_encoder: FakeEncoder, recording: Path) -> None:
@@ -235,7 +233,7 @@ class TestEncode:
         [
             (["missing"], "missing: no such folder; give the folder of an RGB-D recording"),
             (["{recording}", "--voxel-size", "5m"], "voxel size 5.0 m is not within 0.0005..1.0 m; try 16mm"),
-            (["{recording}", "--frames", "3:3"], "{recording}: --frames 3:3: selects none of its 4 frames; widen it"),
+            (["{recording}", "--frames", "3:3:1"], "{recording}: --frames 3:3:1 selects none of its 4 frames; widen it"),
             (
                 ["{recording}", "--segment", "depth:2m..1m"],
                 "depth range 2.0 m .. 1.0 m is empty; give it as depth:NEAR..FAR with NEAR < FAR",
@@ -245,9 +243,7 @@ class TestEncode:
     def test_bad_values(self, recording: Path, arguments: list[str], message: str) -> None:
         result = run("encode", *(part.format(recording=recording) for part in arguments), "k.3dvc")
         assert result.exit_code == 1
-        assert result.stderr.replace(": selects", " selects") == "Error: {}\n".format(
-            message.format(recording=recording).replace(": selects", " selects")
-        )
+        assert result.stderr == f"Error: {message.format(recording=recording)}\n"
 
     def test_choices_are_those_of_the_library(self) -> None:
         assert set(LAYOUTS) == set(layout_names())
@@ -331,7 +327,7 @@ class TestStats:
     def test_per_frame(self, fake_decoder: list[FakeStream], stream: Path, recording: Path, tmp_path: Path) -> None:
         table = tmp_path / "frames.csv"
         assert run("stats", stream, "--reference", recording, "--per-frame", table).exit_code == 0
-        rows = list(csv.DictReader(table.open()))
+        rows = list(csv.DictReader(table.read_text().splitlines()))
         assert [row["frame"] for row in rows] == ["0", "1", "2", "3"]
         assert [row["status"] for row in rows] == ["known", "tracked", "tracked", "lost"]
         assert sum(int(row["bytes"]) for row in rows) == stream.stat().st_size

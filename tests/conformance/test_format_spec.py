@@ -4,18 +4,23 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import re
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from container_streams import DIGEST, records, stream_header, stream_of
 from threedvc import errors, limits
+from threedvc.decoder import models_digest
 from threedvc.formats.container import layout
 from threedvc.formats.container.framing import COMPRESSED_TYPES
 from threedvc.header_kinds import Kind
+from threedvc.model_update import ModelUpdate
+from threedvc.object_model import DecodedModel
 from threedvc.packets import (
     DIGEST_BYTES,
     RESERVED_TYPES,
@@ -168,8 +173,25 @@ def test_limits(spec: str) -> None:
     }
 
 
-def test_digest_size(spec: str) -> None:
-    assert f"{DIGEST_BYTES} bytes" in section(spec, "Digest")
+def test_digest(spec: str) -> None:
+    text = section(spec, "Digest")
+    assert text.lstrip().startswith(f"The first {DIGEST_BYTES} bytes of the SHA-256")
+    cells = np.array([[-1, -1, -1], [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5]], dtype=np.int32)
+    colors = np.arange(15, dtype=np.int16).reshape(5, 3) * 17 - 1
+    model = DecodedModel(0.016)
+    model.apply(
+        ModelUpdate(
+            added=cells,
+            added_colors=colors,
+            removed=np.zeros((0, 3), np.int32),
+            recolored=np.zeros((0, 3), np.int32),
+            recolored_colors=np.zeros((0, 3), np.int16),
+        )
+    )
+    flat_cells, flat_colors = cells.ravel().tolist(), colors.ravel().tolist()
+    of_model = hashlib.sha256(struct.pack("<d15i15h", 0.016, *flat_cells, *flat_colors)).digest()[:16]
+    expected = b"".join(struct.pack("<I", number) + of_model for number in (0, 7))
+    assert models_digest({7: model, 0: model}) == hashlib.sha256(expected).digest()[:16]
 
 
 def test_errors_exist(spec: str) -> None:

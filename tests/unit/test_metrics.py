@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from reference_metrics import slow_ssim
 
+from reference_metrics import slow_ssim
 from threedvc.metrics import (
     MAX_PSNR_DB,
     ColorQuality,
@@ -128,9 +128,7 @@ class TestDepth:
         rng = np.random.default_rng(seed)
         reference, decoded = random_depth(rng), random_depth(rng)
         whole = DepthErrors.measure(reference, decoded, 1.0)
-        parts = [
-            DepthErrors.measure(reference[part], decoded[part], 1.0) for part in (slice(0, 150), slice(150, None))
-        ]
+        parts = [DepthErrors.measure(reference[part], decoded[part], 1.0) for part in (slice(0, 150), slice(150, None))]
         assert (parts[0] + parts[1]).quality() == whole.quality()
 
     @given(SMALL)
@@ -243,7 +241,9 @@ class TestTrajectory:
 
     def test_rotation_error_of_a_step(self) -> None:
         still = [np.eye(4)] * 3
-        turning = [make_pose(rotation_from_vector(np.array([0, 0, math.radians(2 * k)])), np.zeros(3)) for k in range(3)]
+        turning = [
+            make_pose(rotation_from_vector(np.array([0, 0, math.radians(2 * k)])), np.zeros(3)) for k in range(3)
+        ]
         error = trajectory_error(still, turning)
         assert error.rpe_rotation_deg == pytest.approx(2)
         assert error.ate_rmse_mm == pytest.approx(0)

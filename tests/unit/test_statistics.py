@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from streams import FRAMES, INFO, FakeStream, ListSequence, gradient_frame, packed_stream
 
+from streams import FRAMES, INFO, FakeStream, ListSequence, gradient_frame, packed_stream
 from threedvc.camera import Camera, CameraRig
-from threedvc.errors import BadMagic, CorruptStream, FormatError, SequenceError, TruncatedStream
+from threedvc.errors import BadMagic, CorruptStream, FormatError, SequenceError
 from threedvc.formats import statistics as module
 from threedvc.formats.container import FILE_HEAD_BYTES, Record, StreamReader
 from threedvc.formats.statistics import StreamStatistics, statistics
@@ -134,7 +134,7 @@ class TestReport:
     def test_not_a_stream(self, tmp_path: Path) -> None:
         path = tmp_path / "a.3dvc"
         path.write_bytes(b"GIF89a and more than twelve bytes")
-        with pytest.raises(BadMagic, match="not a .3dvc stream"):
+        with pytest.raises(BadMagic, match=r"not a \.3dvc stream"):
             statistics(path)
 
     @pytest.mark.parametrize("size", [0, 5, 12, 30])
@@ -147,6 +147,10 @@ class TestReport:
         data[300] ^= 1
         with pytest.raises(CorruptStream, match="stream: packet 2 at byte"):
             statistics(io.BytesIO(bytes(data)))
+
+    def test_drift_is_an_error(self) -> None:
+        with pytest.raises(CorruptStream, match="^stream: the digest of the decoded models differs"):
+            statistics(io.BytesIO(packed_stream(drifted=True)))
 
     @pytest.mark.parametrize("cut", [1, 10, 40])
     def test_cut_stream_counts_what_is_there(self, cut: int) -> None:

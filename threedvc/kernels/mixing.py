@@ -31,7 +31,6 @@ __all__ = [
 INPUT_LIMIT = 2047
 COUNTER_LIMIT = 255
 LEARNING_RATE = 12
-INHERITED = 1
 LEARNING_SHIFT = 18
 
 
@@ -115,7 +114,7 @@ def mixed_log_odds(mixer: Mixer) -> int:
 
 
 @kernel
-def learn(mixer: Mixer, bit: int, probability: int) -> None:
+def learn(mixer: Mixer, bit: int) -> None:
     """Adapt weights and counters to a coded bit."""
     for s in range(len(mixer.selectors)):
         error = (65535 * bit - squash(mixer.opinions[s])) * LEARNING_RATE
@@ -123,16 +122,12 @@ def learn(mixer: Mixer, bit: int, probability: int) -> None:
         for k in range(len(mixer.inputs)):
             row[k] += (mixer.inputs[k] * error + (1 << (LEARNING_SHIFT - 1))) >> LEARNING_SHIFT
     for k in range(len(mixer.tables)):
-        index = mixer.contexts[k]
-        if mixer.tables[k, index] & 1023 == 0:
-            mixer.tables[k, index] = (probability << 16) | INHERITED
-        adapt_counter(mixer.tables[k], index, bit, COUNTER_LIMIT)
+        adapt_counter(mixer.tables[k], mixer.contexts[k], bit, COUNTER_LIMIT)
 
 
 @kernel
 def code_mixed_bit(coder: Coder, bit: int, mixer: Mixer) -> int:
     """Code a bit with the mixed probability of its contexts and learn from it."""
-    probability = clamp_probability(squash(mixed_log_odds(mixer)))
-    bit = code_bit(coder, bit, probability)
-    learn(mixer, bit, probability)
+    bit = code_bit(coder, bit, clamp_probability(squash(mixed_log_odds(mixer))))
+    learn(mixer, bit)
     return bit
