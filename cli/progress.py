@@ -35,6 +35,7 @@ class Progress:
         self._stream = sys.stderr if stream is None else stream
         self._terminal = self._stream.isatty()
         self._started = time.monotonic()
+        self._pass = 1
         self._shown = -SECONDS_BETWEEN_LINES
         self._width = 0
         self.frames = 0
@@ -49,16 +50,22 @@ class Progress:
 
     @property
     def seconds(self) -> float:
-        """Time since the start."""
+        """Time since the start of this pass over the frames."""
         return time.monotonic() - self._started
 
     @property
     def frames_per_second(self) -> float:
-        """Frames done per second so far."""
+        """Frames done per second in this pass."""
         return self.frames / max(self.seconds, 1e-9)
 
     def advance(self, frames: int, stream_bytes: int = 0) -> None:
-        """Tell how many frames are done and how many bytes of stream there are for them."""
+        """Tell how many frames are done and how many bytes of stream there are for them.
+
+        A number that falls begins another pass over the frames.
+        """
+        if frames < self.frames:
+            self._pass += 1
+            self._started, self._shown = time.monotonic(), -SECONDS_BETWEEN_LINES
         self.frames = frames
         if self._terminal and self.seconds - self._shown >= SECONDS_BETWEEN_LINES:
             self._shown = self.seconds
@@ -71,7 +78,8 @@ class Progress:
 
     def _line(self, stream_bytes: int) -> str:
         of_total = f"/{self._total}" if self._total is not None else ""
-        line = f"{self._label}: frame {self.frames}{of_total}, {self.frames_per_second:.1f} frames/s"
+        label = self._label if self._pass == 1 else f"{self._label}, pass {self._pass}"
+        line = f"{label}: frame {self.frames}{of_total}, {self.frames_per_second:.1f} frames/s"
         if self._fps is not None and stream_bytes and self.frames:
             line += f", {stream_bytes * 8 * self._fps / self.frames / 1000:.1f} kbit/s"
         return line

@@ -13,7 +13,7 @@ from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
-# No deadline, because the first call of a kernel compiles it. In CI the same examples every time; make fuzz asks for more.
+# No deadline: the first call of a kernel compiles it. CI sees the same examples every time; make fuzz asks for more.
 EXAMPLES = int(os.environ.get("THREEDVC_EXAMPLES", "30"))
 settings.register_profile("3dvc", deadline=None, max_examples=EXAMPLES, derandomize="CI" in os.environ, print_blob=True)
 settings.load_profile("3dvc")

@@ -76,8 +76,9 @@ class BlockIndex:
         if not len(new):
             return 0
         new = new[np.argsort(morton_keys(new), kind="stable")]
-        self._cover(new >> 3)
-        self._reserve(len(new))
+        supers = np.unique(new >> 3, axis=0)
+        self._cover(supers)
+        self._reserve(len(new), int(np.count_nonzero(self.root[tuple((supers - self.root_origin).T)] < 0)))
         self.coords[self.count : self.count + len(new)] = new
         self._super_count = fill_slots(new, self.count, *self.tables, self._super_count)
         self.count += len(new)
@@ -114,11 +115,11 @@ class BlockIndex:
             root[x : x + nx, y : y + ny, z : z + nz] = self.root
         self.root_origin, self.root = low, root
 
-    def _reserve(self, new: int) -> None:
-        if self.count + new > len(self.coords):
-            grown = np.zeros((max(self.count + new, len(self.coords) * 2), 3), dtype=np.int32)
+    def _reserve(self, blocks: int, supers: int) -> None:
+        if self.count + blocks > len(self.coords):
+            grown = np.zeros((max(self.count + blocks, len(self.coords) * 2), 3), dtype=np.int32)
             grown[: self.count] = self.coords[: self.count]
             self.coords = grown
-        if self._super_count + new > len(self.supers):
-            more = max(self._super_count + new, len(self.supers) * 2) - len(self.supers)
+        if self._super_count + supers > len(self.supers):
+            more = max(self._super_count + supers, len(self.supers) * 2) - len(self.supers)
             self.supers = np.concatenate([self.supers, np.full((more, BLOCK_CELLS), -1, dtype=np.int32)])

@@ -123,6 +123,9 @@ class EncoderConfig:
         Measurements beyond are ignored, or None.
     motion, sensor
         See `Motion` and `Sensor`.
+    refine
+        Calibrate the colour camera and register all frames again once the model is finished; needs
+        frames that can be read more than once.
     causal
         Send each group as soon as it is fused (live); otherwise fuse everything first.
     group_frames
@@ -139,6 +142,7 @@ class EncoderConfig:
     fusion: FusionConfig = field(default_factory=FusionConfig)
     color: ColorConfig = field(default_factory=ColorConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
+    refine: bool = True
     causal: bool = False
     group_frames: int | None = None
     threads: int = field(default_factory=default_threads)

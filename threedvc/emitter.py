@@ -147,7 +147,7 @@ class Emitter:
 
     def _poses(self, sent: _Sent, first: int, stop: int) -> Iterator[Packet]:
         """Yield a packet for every run of frames in which the object moves."""
-        script = [self._script(sent.item, frame, first) for frame in range(first, stop)]
+        script = [self._script(sent.item, pose, frame) for frame, pose in enumerate(sent.item.poses[first:stop])]
         decoded: list[Pose] = []
         for start, end in _runs(self._moving(sent, script)):
             if sent.next_coded != first + start:
@@ -160,10 +160,9 @@ class Emitter:
         if sent.item.number == 0:
             self._world = decoded + [sent.pose] * (stop - first - len(decoded))
 
-    def _script(self, item: SceneObject, frame: int, first: int) -> Pose:
-        """Return the pose that the stream carries for an object, against the background as decoded."""
-        pose = item.poses[frame]
-        return compose(inverse(self._world[frame - first]), pose) if item.number else pose
+    def _script(self, item: SceneObject, pose: Pose, frame: int) -> Pose:
+        """Return what the stream carries for a pose in a frame of the group: the background's stands for itself."""
+        return compose(inverse(self._world[frame]), pose) if item.number else pose
 
     def _moving(self, sent: _Sent, script: Sequence[Pose]) -> list[bool]:
         """Tell in which frames an object's pose differs from the one before by a quantisation step."""

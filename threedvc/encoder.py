@@ -1,26 +1,31 @@
 # SPDX-License-Identifier: MIT
 """The encoder: frames in, packets out.
 
-A file is encoded in two passes over the model, not over the frames: every frame is fused first, then
-each group of frames gets the cells that it sees for the first time, as they turned out in the end. A
-live encoder sends each group as soon as it is fused.
+For a file every frame is fused first, cameras and poses are refined against the finished model and all
+frames fused again; then each group of frames gets the cells that it sees for the first time, as they turned
+out in the end. A live encoder sends each group as soon as it is fused.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
+from dataclasses import replace
+from typing import TypeAlias, cast
 
 from threedvc.config import EncoderConfig
 from threedvc.emitter import Emitter
 from threedvc.errors import CorruptStream, SequenceError
 from threedvc.decoder import Decoder
-from threedvc.frame import Frame, SequenceInfo
+from threedvc.frame import Frame, FrameSequence, SequenceInfo
 from threedvc.packets import Packet, PacketType
+from threedvc.refinement import calibrated_rig, refined_script
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
 
-__all__ = ["Encoder", "verified"]
+__all__ = ["Encoder", "OnFrame", "verified"]
+
+OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
 class Encoder:
@@ -46,61 +51,101 @@ class Encoder:
         self.config = config or EncoderConfig()
         self.scene = Scene(info, self.config)
         self.reports: list[FrameReport] = []
-        self._emitter = Emitter(self.scene, self.config)
         self._group = self.config.group_frames or max(1, round(info.fps))
+        self._began = time.perf_counter()
 
-    def packets(
-        self, frames: Iterable[Frame], on_frame: Callable[[FrameReport], None] | None = None
-    ) -> Iterator[Packet]:
+    def packets(self, frames: Iterable[Frame], on_frame: OnFrame | None = None) -> Iterator[Packet]:
         """Take in all frames and yield the packets of the stream.
 
         Parameters
         ----------
         frames
-            Frames in order, numbered from 0.
+            Frames in order, numbered from 0. Frames that can be read again (a `FrameSequence`) are used
+            to refine cameras and poses unless the encoder is causal.
         on_frame
-            Called after each frame is fused.
+            Called after each frame of each pass.
 
         Raises
         ------
         SequenceError
             If there is no frame, or none of them has depth.
         """
-        began = time.perf_counter()
+        self._began = time.perf_counter()
+        if self.config.causal:
+            yield from self._live(frames, on_frame)
+            return
+        self._fuse_all(frames, on_frame)
+        if self.config.refine and isinstance(frames, Sized) and hasattr(frames, "__getitem__"):
+            self._refine(cast(FrameSequence, frames), on_frame)
+        emitter = self._emitter()
+        yield emitter.stream()
+        yield from self._batches(emitter, 0, last=True)
+        yield emitter.end()
+
+    def _live(self, frames: Iterable[Frame], on_frame: OnFrame | None) -> Iterator[Packet]:
+        """Send each group when the first frame after it comes, so that the last group is known to be it."""
+        emitter: Emitter | None = None
         sent = 0
         for frame in frames:
-            status = self.scene.add(frame)
-            self.reports.append(self._report(frame, status, time.perf_counter() - began))
-            if on_frame:
-                on_frame(self.reports[-1])
-            if self.config.causal and len(self.reports) - sent == self._group:
-                yield from self._groups(sent, len(self.reports), last=False)
+            if len(self.reports) - sent == self._group:
+                if emitter is None:
+                    emitter = self._emitter()
+                    yield emitter.stream()
+                yield from self._batches(emitter, sent, last=False)
                 sent = len(self.reports)
-        if not self.reports:
-            raise SequenceError(f"{self.info.name} has no frames")
-        if not any(item.evidence.index.count for item in self.scene.objects.values()):
-            raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
-        yield from self._groups(sent, len(self.reports), last=True)
-        yield self._emitter.end()
+            self._take(frame, on_frame)
+        if emitter is None:
+            emitter = self._emitter()
+            yield emitter.stream()
+        yield from self._batches(emitter, sent, last=True)
+        yield emitter.end()
 
-    def _report(self, frame: Frame, status: str, seconds: float) -> FrameReport:
-        return FrameReport(
+    def _fuse_all(self, frames: Iterable[Frame], on_frame: OnFrame | None) -> None:
+        self.reports = []
+        for frame in frames:
+            self._take(frame, on_frame)
+
+    def _refine(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Calibrate, register again, and fuse anew."""
+        if not any(item.evidence.index.count for item in self.scene.objects.values()):
+            return
+        rig = calibrated_rig(self.scene, frames)
+        if rig is not None:
+            found = {number: item.found for number, item in self.scene.objects.items()}
+            self.scene = Scene(replace(self.info, rig=rig), self.config, found)
+            self._fuse_all(frames, on_frame)
+        script = refined_script(self.scene, frames)
+        self.scene = Scene(self.scene.info, self.config, script)
+        self._fuse_all(frames, on_frame)
+
+    def _take(self, frame: Frame, on_frame: OnFrame | None) -> None:
+        status = self.scene.add(frame)
+        report = FrameReport(
             index=frame.index,
             timestamp_ns=frame.timestamp_ns,
             status=status,
             entropy_bits=self.scene.entropy_bits,
-            seconds=seconds,
+            seconds=time.perf_counter() - self._began,
         )
+        self.reports.append(report)
+        if on_frame is not None:
+            on_frame(report)
 
-    def _groups(self, first: int, stop: int, *, last: bool) -> Iterator[Packet]:
-        """Yield the batches of frames that were taken in; the first is preceded by STREAM."""
-        if first == 0:
-            yield self._emitter.stream()
+    def _emitter(self) -> Emitter:
+        if not self.reports:
+            raise SequenceError(f"{self.info.name} has no frames")
+        if not self.config.causal and not any(item.evidence.index.count for item in self.scene.objects.values()):
+            raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
+        return Emitter(self.scene, self.config)
+
+    def _batches(self, emitter: Emitter, first: int, *, last: bool) -> Iterator[Packet]:
+        """Yield the batches of the frames from `first` on that were taken in."""
+        stop = len(self.reports)
         for start in range(first, stop, self._group):
             end = min(start + self._group, stop)
             final = last and end == stop
             told = self.reports[start:end] if self.config.causal else self.reports if final else []
-            batch = self._emitter.group(start, end, told, last=final)
+            batch = emitter.group(start, end, told, last=final)
             if batch is not None:
                 yield batch
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,11 @@ from threedvc.evidence_view import Thinned, cast_view
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, inverse, make_pose
-from threedvc.registration import Status, rests
+from threedvc.registration import Status, register, rests
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
-__all__ = ["Located", "Tracker", "known_pose", "motion_of"]
+__all__ = ["Located", "Tracker", "known_pose", "motion_of", "refined"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,3 +114,28 @@ class Tracker:
         pose = last if self._resting else found.T_camera_object
         self._poses = [last, pose]
         return Located(T_camera_object=pose, status=found.status)
+
+
+def refined(
+    at: Located,
+    frame: Frame,
+    mask: NDArray[np.bool_],
+    luma: NDArray[np.float32],
+    model: EvidenceModel,
+    thinned: Thinned,
+    sensor: SensorModel,
+    threads: int,
+) -> Located:
+    """Register a frame once more, against the finished model, from the pose that it was fused at.
+
+    The pose stays as it is unless the other fits significantly better.
+    """
+    depth, mask, camera = thinned.thin(frame.depth), thinned.thin(mask), thinned.camera
+    view = cast_view(model, thinned, at.T_camera_object, threads)
+    options = {"sigma_m": sensor.sigma_m, "threads": threads}
+    found = register(depth, luma, mask, camera, view, at.T_camera_object, **options)
+    if found.status is not Status.TRACKED:
+        return at
+    if rests(depth, luma, mask, camera, view, at.T_camera_object, found, resting=True, **options):
+        return at
+    return replace(at, T_camera_object=found.T_camera_object)

@@ -105,7 +105,7 @@ def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpda
     drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
     moved[known] = drift > RECOLOR_LEVELS
     fresh = ~known & ((near == 0) | _frontier(near))
-    return _update(surface.part(fresh), _vanished(model, sent), surface.part(moved))
+    return _update(surface.part(fresh), _vanished(model, sent, threads), surface.part(moved))
 
 
 def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -113,10 +113,16 @@ def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
     return near <= 3
 
 
-def _vanished(model: EvidenceModel, sent: DecodedModel) -> NDArray[np.int32]:
+def _vanished(model: EvidenceModel, sent: DecodedModel, threads: int) -> NDArray[np.int32]:
+    """List sent cells that are confidently empty and have no cell of the present surface beside them."""
     cells, _ = sent.cells()
     positions = model.index.locate(cells)
-    return cells[model.log_odds.reshape(-1)[positions] < EMPTY_LOG_ODDS]
+    cells = cells[model.log_odds.reshape(-1)[positions] < EMPTY_LOG_ODDS]
+    flags = np.zeros((model.index.count, BLOCK_CELLS), dtype=np.uint8)
+    flags.reshape(-1)[model.index.locate(read_surface(model, threads).cells)] = 1
+    beside = np.zeros(len(cells), dtype=np.int32)
+    count_neighbours(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
+    return cells[(beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)]
 
 
 def _is_sent(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -60,9 +60,10 @@ MAD_TO_SIGMA = 1.4826
 MIN_DEPTH_SCALE = 0.5
 GATE_SIGMAS = 6.0
 TUKEY_BOUND = 4.685
+STRONG_SLOPE = 32.0
 GAIN_PRIOR = 100.0
 MAX_STEP_RAD = 0.3
-COARSE_CONVERGENCE = 0.1
+COARSE_CONVERGENCE = 0.05
 FINE_CONVERGENCE = 0.02
 INLIER_SIGMAS = 3.0
 INLIER_DEPTH = 0.01
@@ -127,7 +128,7 @@ class RegistrationConfig:
     fine_gate: float = 0.03
     coarse_angle_rad: float = 1.0
     fine_angle_rad: float = 0.7
-    min_conditioning: float = 2e-3
+    min_conditioning: float = 8e-3
     min_samples: int = 60
     min_inliers: float = 0.4
     weak_inliers: float = 0.6
@@ -466,7 +467,7 @@ class Problem:
                     return _lost(T_guess, steps)
                 step = self._step(fit, level, T_view_frame)
                 T_view_frame, exposure = step.motion @ T_view_frame, step.exposure
-                conditioning, steps = step.conditioning, steps + 1
+                conditioning, steps = max(conditioning, step.conditioning), steps + 1
                 if step.pixels < limit:
                     break
         exposure = exposure if not finest else None
@@ -597,7 +598,7 @@ class Problem:
         return _Fit(rows, states, scales, exposure)
 
     def _normal_equations(self, fit: _Fit, samples: _Samples, centre: Doubles) -> tuple[Doubles, Doubles]:
-        sums = np.empty((-(-len(samples) // CHUNK), kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
+        sums = np.empty((-(-len(samples) // CHUNK), 2, kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
 
         def work(start: int, stop: int) -> None:
             kernels.accumulate_normal_equations(
@@ -615,32 +616,34 @@ class Problem:
             )
 
         self._run(work, len(sums))
-        total = sums.sum(axis=0)
-        matrix, side = total[:, :-1], total[:, -1]
-        matrix[6, 6] += GAIN_PRIOR
-        matrix[7, 7] += 1e-9
-        side[6] += GAIN_PRIOR * (fit.exposure[0] - 1)
-        return matrix, side
+        depth, luma = sums.sum(axis=0)
+        luma[6, 6] += GAIN_PRIOR
+        luma[6, 8] += GAIN_PRIOR * (fit.exposure[0] - 1)
+        luma[7, 7] += 1e-9
+        return depth, luma
 
     def _step(self, fit: _Fit, level: int, T_view_frame: Pose) -> _Step:
-        """Solve for one Gauss-Newton step, leaving out directions that the residuals do not determine."""
+        """Solve for one Gauss-Newton step in the directions that the residuals determine."""
         centre = T_view_frame[:3, :3] @ self.centre + T_view_frame[:3, 3]
-        matrix, side = self._normal_equations(fit, self.samples[level], centre)
+        depth, luma = self._normal_equations(fit, self.samples[level], centre)
         # Exposure is eliminated first: what it explains says nothing about motion.
-        coupling = np.linalg.solve(matrix[6:, 6:], np.column_stack([matrix[6:, :6], side[6:]]))
-        information = matrix[:6, :6] - matrix[:6, 6:] @ coupling[:, :6]
-        slope = side[:6] - matrix[:6, 6:] @ coupling[:, 6]
+        coupling = np.linalg.solve(luma[6:, 6:8], np.column_stack([luma[6:, :6], luma[6:, 8]]))
         unit = np.repeat([1 / self.radius, 1.0], 3)
-        way, conditioning = _determined_solution(
-            unit[:, None] * information * unit, -unit * slope, self.config.min_conditioning
-        )
-        pixels = float(np.linalg.norm(way)) / centre[2] * self.camera.fx
+        by_depth = unit[:, None] * depth[:6, :6] * unit
+        by_luma = unit[:, None] * (luma[:6, :6] - luma[:6, 6:8] @ coupling[:, :6]) * unit
+        slope = unit * (depth[:6, 8] + luma[:6, 8] - luma[:6, 6:8] @ coupling[:, 6])
+        pixel = 0.5**level * self.camera.fx / max(centre[2], 1e-6)
+        quality = by_depth / max(float(np.linalg.eigvalsh(by_depth)[-1]), 1e-12)
+        quality += by_luma / (luma[7, 7] * (STRONG_SLOPE * pixel) ** 2)
+        grades, directions = np.linalg.eigh(quality)
+        chosen = directions[:, grades > self.config.min_conditioning]
+        way = -chosen @ np.linalg.solve(chosen.T @ (by_depth + by_luma) @ chosen, chosen.T @ slope)
         step = unit * way
         step *= min(1.0, MAX_STEP_RAD / max(float(np.linalg.norm(step[:3])), 1e-12))
         exposure = fit.exposure - coupling[:, 6] - coupling[:, :6] @ step
         turn = rotation_from_vector(step[:3])
         motion = make_pose(turn, centre - turn @ centre + step[3:])
-        return _Step(motion, pixels, exposure, conditioning)
+        return _Step(motion, float(np.linalg.norm(way)) * pixel * 2**level, exposure, float(grades[0]))
 
     def _judge(self, T_view_frame: Pose, exposure: Doubles | None, conditioning: float, steps: int) -> Registration:
         # Without this, rounding errors of predicted poses would more than double from frame to frame.
@@ -717,18 +720,6 @@ def _level_samples(surface: Doubles, sigma: Doubles, luma: Floats, level: int) -
     values = np.empty(len(chosen))
     kernels.sample_luma(luma, 0.5**level, chosen, values, 0, len(chosen))
     return _Samples(chosen, values, np.ascontiguousarray(sigma[::step]))
-
-
-def _determined_solution(matrix: Doubles, side: Doubles, threshold: float) -> tuple[Doubles, float]:
-    """Solve a symmetric system in the directions whose eigenvalue exceeds a part of the largest one.
-
-    Returns the solution, zero along the others, and the smallest over the largest eigenvalue.
-    """
-    values, vectors = np.linalg.eigh(matrix)
-    largest = max(float(values[-1]), 1e-12)
-    determined = vectors[:, values > threshold * largest]
-    solution = determined @ ((determined.T @ side) / values[values > threshold * largest])
-    return solution, max(float(values[0]), 0.0) / largest
 
 
 def _luma_residuals(fit: _Fit, samples: _Samples) -> Doubles:

@@ -32,6 +32,7 @@ MAX_RATIO = 0.8
 MIN_MATCHES = 6
 DRAWS = 200
 MATCH_DISTANCE = 0.02
+MIN_INLIERS = 0.7
 
 
 def predict(T_before: Pose, T_previous: Pose) -> Pose:
@@ -63,8 +64,8 @@ def register_from_starts(
     starts = other_starts(depth, intensity, mask, camera, view)
     coarse = sorted((problem.solve(start, finest=1) for start in starts), key=_agreement, reverse=True)
     refined = (problem.solve(found.T_camera_object) for found in coarse[:REFINED_STARTS] if found.inliers)
-    tracked = [found for found in refined if found.status is Status.TRACKED]
-    return max([first, *tracked], key=_agreement)
+    trusted = [found for found in refined if found.status is Status.TRACKED and found.inlier_fraction >= MIN_INLIERS]
+    return max([first, *trusted], key=_agreement)
 
 
 def _agreement(found: Registration) -> float:

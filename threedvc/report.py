@@ -10,7 +10,8 @@ from itertools import accumulate, groupby, pairwise
 import numpy as np
 import zstandard
 
-from threedvc.errors import CorruptStream
+from threedvc.errors import CorruptStream, LimitExceeded
+from threedvc.limits import MAX_COUNT
 from threedvc.packets import Packet, PacketType
 from threedvc.wire import ByteReader, pack_signed_varint, pack_varint
 
@@ -19,7 +20,7 @@ __all__ = ["REPORT_KIND", "FrameReport", "StreamReport", "report_packet", "unpac
 REPORT_KIND = "report"
 STEPS_PER_OCTAVE = 32
 STATUSES = ("known", "tracked", "weak", "lost")
-MAX_REPORT_BYTES = 1 << 24
+MAX_REPORT_BYTES = 8 * MAX_COUNT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,15 @@ class StreamReport:
 
 
 def report_packet(frames: Sequence[FrameReport]) -> Packet:
-    """Pack consecutive frames into an ancillary packet: statuses as runs, entropies to 2 %."""
+    """Pack consecutive frames into an ancillary packet: statuses as runs, entropies to 2 %.
+
+    Raises
+    ------
+    LimitExceeded
+        If there are more than `MAX_COUNT` frames.
+    """
+    if len(frames) > MAX_COUNT:
+        raise LimitExceeded(f"a report of {len(frames)} frames is longer than {MAX_COUNT}; divide it")
     levels = [round(STEPS_PER_OCTAVE * float(np.log2(max(frame.entropy_bits, 1.0)))) for frame in frames]
     steps = [later - earlier for earlier, later in pairwise([0, *levels])]
     runs = [(STATUSES.index(status), len(list(group))) for status, group in groupby(frame.status for frame in frames)]
@@ -78,20 +87,30 @@ def unpack_report(packet: Packet) -> StreamReport | None:
     """
     if packet.header.get("k") != REPORT_KIND:
         return None
-    try:
-        data = zstandard.ZstdDecompressor().decompress(packet.payload, max_output_size=MAX_REPORT_BYTES)
-    except zstandard.ZstdError as error:
-        raise CorruptStream(f"the encoder's report cannot be read: {error}") from None
-    reader = ByteReader(data)
-    count = reader.varint()
+    reader = ByteReader(_decompressed(packet.payload))
+    count, runs = reader.varint(), reader.varint()
+    if count > MAX_COUNT or runs > count:
+        raise CorruptStream(f"the encoder's report of {count} frames in {runs} runs is impossible")
     status: list[str] = []
-    for _ in range(reader.varint()):
+    for _ in range(runs):
         code, length = reader.varint(), reader.varint()
-        if code >= len(STATUSES) or length > count - len(status):
+        if code >= len(STATUSES) or not 0 < length <= count - len(status):
             raise CorruptStream(f"the encoder's report has a run of {length} frames of status {code}")
         status += [STATUSES[code]] * length
     levels = list(accumulate(reader.signed_varint() for _ in range(len(status))))
-    if len(status) != count or not all(0 <= level < 64 * STEPS_PER_OCTAVE for level in levels):
+    if len(status) != count or reader.remaining or not all(0 <= level < 64 * STEPS_PER_OCTAVE for level in levels):
         raise CorruptStream(f"the encoder's report of {count} frames is not complete")
     bits = tuple(float(2 ** (level / STEPS_PER_OCTAVE)) for level in levels)
     return StreamReport(entropy_bits=bits, status=tuple(status))
+
+
+def _decompressed(payload: bytes) -> bytes:
+    try:
+        # The size that the Zstandard frame states rules its allocation, whatever limit is passed.
+        size = zstandard.frame_content_size(payload)
+        if not 0 <= size <= MAX_REPORT_BYTES:
+            told = f"states {size} bytes" if size > 0 else "does not state its size"
+            raise CorruptStream(f"the encoder's report {told}, at most {MAX_REPORT_BYTES} are accepted")
+        return zstandard.ZstdDecompressor().decompress(payload, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise CorruptStream(f"the encoder's report cannot be read: {error}") from None

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -49,8 +49,10 @@ class SceneObject:
         Its number; 0 is the background.
     evidence
         Its model.
-    poses
-        T_camera_object of every frame so far; before the first sight that of the first sight.
+    found
+        Where it was found in every frame so far; None where it was not.
+    born
+        First frame in which it was found.
     """
 
     def __init__(self, number: int, voxel_size_m: float, tracker: Tracker | None) -> None:
@@ -58,8 +60,17 @@ class SceneObject:
         self.evidence = EvidenceModel(voxel_size_m)
         self.tracker = tracker
         self.entropy = EntropyMeter(self.evidence)
-        self.poses: list[Pose] = []
+        self.found: list[Located | None] = []
         self.born: int | None = None
+
+    @property
+    def poses(self) -> list[Pose]:
+        """T_camera_object of every frame: an unseen object keeps its last pose, at first its first one."""
+        first = next((at.T_camera_object for at in self.found if at is not None), identity())
+        script = [first]
+        for at in self.found:
+            script.append(script[-1] if at is None else at.T_camera_object)
+        return script[1:]
 
     def locate(self, frame: Frame, mask: NDArray[np.bool_], luma: NDArray[np.float32] | None, alone: bool) -> Located | None:
         """Find the object in a frame; None where it is not seen and its pose is not known."""
@@ -72,14 +83,12 @@ class SceneObject:
             return self.tracker.start(frame, mask, self.number)
         return self.tracker.locate(frame, mask, self.evidence, luma)
 
-    def record(self, frame: int, pose: Pose | None) -> None:
-        """Keep the pose of a frame; an unseen object keeps its last one."""
-        if pose is None:
-            pose = self.poses[-1] if self.poses else identity()
-        elif self.born is None:
+    def record(self, frame: int, at: Located | None) -> None:
+        """Keep where the object was found in a frame; frames before it appeared count as not found."""
+        if at is not None and self.born is None:
             self.born = frame
-            self.poses = [pose] * frame
-        self.poses.append(pose)
+        self.found += [None] * (frame - len(self.found))
+        self.found.append(at)
 
 
 class Scene:
@@ -91,13 +100,18 @@ class Scene:
         The sequence.
     config
         Choices.
+    script
+        Where every object is in every frame, from an earlier pass; None: find out.
     """
 
-    def __init__(self, info: SequenceInfo, config: EncoderConfig) -> None:
+    def __init__(
+        self, info: SequenceInfo, config: EncoderConfig, script: Mapping[int, Sequence[Located | None]] | None = None
+    ) -> None:
         self.info, self.config = info, config
+        self._script = script
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
-        self._thinned = Thinned(info.rig)
+        self.thinned = Thinned(info.rig)
         self._rays = info.rig.depth.rays()
         self._sensor: SensorModel | None = None
 
@@ -111,7 +125,10 @@ class Scene:
         frame = self._limited(frame)
         labels = segment(frame, self.config.segmentation, self.info)
         seen = observe(frame, self.info.rig, self._rays)
-        sensor = self._sensor_of(frame)
+        if self._sensor is None:
+            chosen = self.config.sensor
+            self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
+        sensor = self._sensor
         luma: NDArray[np.float32] | None = None
         worst = STATUS_ORDER[0]
         for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
@@ -119,10 +136,13 @@ class Scene:
             item = self._object(number, frame, mask, sensor)
             if item is None:
                 continue
-            if item.tracker is not None and luma is None:
-                luma = self._thinned.luma(frame)
-            found = item.locate(frame, mask, luma, self._one_object)
-            item.record(frame.index, None if found is None else found.T_camera_object)
+            if self._script is not None:
+                found = self._script[number][frame.index]
+            else:
+                if item.tracker is not None and luma is None:
+                    luma = self.thinned.luma(frame)
+                found = item.locate(frame, mask, luma, self._one_object)
+            item.record(frame.index, found)
             if found is not None:
                 worst = max(worst, str(found.status), key=STATUS_ORDER.index)
                 if found.usable:
@@ -130,9 +150,15 @@ class Scene:
         self.timestamps.append(frame.timestamp_ns)
         return worst
 
-    def poses(self, frame: int) -> Mapping[int, Pose]:
-        """Return T_camera_object of every object in a frame."""
-        return {number: item.poses[frame] for number, item in self.objects.items()}
+    @property
+    def sensor(self) -> SensorModel:
+        """Noise of the depth: the one asked for, or guessed from the first frame."""
+        return self._sensor or SENSORS[Sensor.KINECT1]
+
+    @property
+    def background_rests(self) -> bool:
+        """Whether the background stands still before the camera: by definition, or as the poses say."""
+        return not self.info.has_camera_poses and (self._one_object or self.config.motion is not Motion.TRACK)
 
     @property
     def _one_object(self) -> bool:
@@ -144,12 +170,6 @@ class Scene:
             return frame
         return replace(frame, depth=np.where(frame.depth <= limit, frame.depth, np.float32(0)))
 
-    def _sensor_of(self, frame: Frame) -> SensorModel:
-        if self._sensor is None:
-            chosen = self.config.sensor
-            self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
-        return self._sensor
-
     def _object(self, number: int, frame: Frame, mask: NDArray[np.bool_], sensor: SensorModel) -> SceneObject | None:
         """Return an object, new where enough pixels show it for the first time."""
         if number in self.objects:
@@ -159,7 +179,7 @@ class Scene:
         size = self.config.voxel_size_m or default_voxel_size(frame.depth, mask, self.info)
         tracker = None
         if not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK:
-            tracker = Tracker(self._thinned, sensor, self.config.threads)
+            tracker = Tracker(self.thinned, sensor, self.config.threads)
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 

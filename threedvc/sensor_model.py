@@ -26,6 +26,9 @@ from threedvc.errors import ConfigError
 
 __all__ = ["SENSORS", "SensorModel", "guess_sensor"]
 
+MAX_IDEAL_ROUGHNESS = 0.001
+MIN_SMOOTH_PIXELS = 100
+
 
 @dataclass(frozen=True, kw_only=True)
 class SensorModel:
@@ -84,13 +87,13 @@ def guess_sensor(depth: NDArray[np.float32]) -> Sensor:
     Returns
     -------
     Sensor
-        IDEAL where the second difference along rows is at the level of rounding, else KINECT1.
+        IDEAL where three quarters of the second differences along rows, over depth squared, are at the
+        level of rounding; edges and curved surfaces make up the rest. Else KINECT1.
     """
     left, middle, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
     bend = np.abs(left - 2 * middle + right)
     smooth = (left > 0) & (middle > 0) & (right > 0) & (bend < 0.05 * middle)
-    if np.count_nonzero(smooth) < 100:
+    if np.count_nonzero(smooth) < MIN_SMOOTH_PIXELS:
         return Sensor.KINECT1
-    z = middle[smooth]
-    deviation = float(np.sqrt(np.mean(np.minimum(bend[smooth] / z**2, 0.02) ** 2) / 6))
-    return Sensor.IDEAL if deviation < 0.0008 else Sensor.KINECT1
+    roughness = float(np.quantile(bend[smooth] / middle[smooth] ** 2, 0.75))
+    return Sensor.IDEAL if roughness < MAX_IDEAL_ROUGHNESS else Sensor.KINECT1

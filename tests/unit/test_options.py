@@ -130,6 +130,13 @@ class TestProgress:
         assert stream.getvalue().startswith("\rcompare: frame 5, ")
         assert "kbit/s" not in stream.getvalue()
 
+    def test_counts_passes_over_the_frames(self) -> None:
+        stream = Terminal()
+        with Progress("encode", 2, stream=stream) as progress:
+            for frame in (1, 2, 1):
+                progress.advance(frame)
+        assert "\rencode, pass 2: frame 1/2, " in stream.getvalue()
+
     def test_does_not_write_for_every_frame(self) -> None:
         stream = Terminal()
         with Progress("encode", 10000, None, stream) as progress:

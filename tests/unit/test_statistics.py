@@ -149,7 +149,7 @@ class TestReport:
             statistics(io.BytesIO(bytes(data)))
 
     def test_drift_is_an_error(self) -> None:
-        with pytest.raises(CorruptStream, match="^stream: the digest of the decoded models differs"):
+        with pytest.raises(CorruptStream, match=r"^stream: the digest of the decoded models differs"):
             statistics(io.BytesIO(packed_stream(drifted=True)))
 
     @pytest.mark.parametrize("cut", [1, 10, 40])

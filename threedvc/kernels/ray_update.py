@@ -9,6 +9,9 @@ from threedvc.kernels import kernel
 
 __all__ = ["cell_update", "ray_update"]
 
+MAX_LOG_ODDS = 600.0
+MAX_BEFORE = 1e300
+
 
 @kernel
 def ray_update(log_odds, likelihood, none_likelihood, delta):  # type: ignore[no-untyped-def]
@@ -20,7 +23,8 @@ def ray_update(log_odds, likelihood, none_likelihood, delta):  # type: ignore[no
 
         delta_i = log (A_i + T_i L_i) - log (A_i + T_i S_{i+1})
 
-    Both sums are divided by T_i, so that a long ray through likely cells does not underflow.
+    Both sums are divided by T_i, so that a long ray through likely cells does not underflow; A_i / T_i
+    is bounded, beyond which a cell is hidden whatever it is.
 
     Parameters
     ----------
@@ -37,14 +41,14 @@ def ray_update(log_odds, likelihood, none_likelihood, delta):  # type: ignore[no
     beyond = none_likelihood
     for i in range(n - 1, -1, -1):
         delta[i] = beyond
-        p = 1.0 / (1.0 + np.exp(-log_odds[i]))
-        beyond = p * likelihood[i] + (1.0 - p) * beyond
+        odds = np.exp(min(log_odds[i], MAX_LOG_ODDS))
+        beyond = (odds * likelihood[i] + beyond) / (1.0 + odds)
     before = 0.0
     for i in range(n):
         after = delta[i]
         delta[i] = np.log(before + likelihood[i]) - np.log(before + after)
-        odds = np.exp(log_odds[i])
-        before = before * (1.0 + odds) + odds * likelihood[i]
+        odds = np.exp(min(log_odds[i], MAX_LOG_ODDS))
+        before = min(before * (1.0 + odds) + odds * likelihood[i], MAX_BEFORE)
 
 
 @kernel
@@ -55,10 +59,10 @@ def cell_update(log_odds, likelihood, none_likelihood, n, cell):  # type: ignore
     """
     beyond = none_likelihood
     for i in range(n - 1, cell, -1):
-        p = 1.0 / (1.0 + np.exp(-log_odds[i]))
-        beyond = p * likelihood[i] + (1.0 - p) * beyond
+        odds = np.exp(min(log_odds[i], MAX_LOG_ODDS))
+        beyond = (odds * likelihood[i] + beyond) / (1.0 + odds)
     before = 0.0
     for i in range(cell):
-        odds = np.exp(log_odds[i])
-        before = before * (1.0 + odds) + odds * likelihood[i]
+        odds = np.exp(min(log_odds[i], MAX_LOG_ODDS))
+        before = min(before * (1.0 + odds) + odds * likelihood[i], MAX_BEFORE)
     return np.log(before + likelihood[cell]) - np.log(before + beyond)

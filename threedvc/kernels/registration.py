@@ -292,11 +292,12 @@ def accumulate_normal_equations(
     chunk
         Samples in a chunk.
     sums
-        (chunks, 8, 9) out: the matrix, and the right side in its last column.
+        (chunks, 2, 8, 9) out: of the depth and of the luma residuals, the matrix, and the right side in
+        its last column.
     """
     equation = np.zeros(UNKNOWNS + 1)
     for c in range(start, stop):
-        sums[c, :, :] = 0.0
+        sums[c, :, :, :] = 0.0
         for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
             for term in range(2):
                 residual = rows[i, 6]
@@ -319,4 +320,4 @@ def accumulate_normal_equations(
                 for a in range(UNKNOWNS):
                     weighted = weight * equation[a]
                     for b in range(UNKNOWNS + 1):
-                        sums[c, a, b] += weighted * equation[b]
+                        sums[c, term, a, b] += weighted * equation[b]

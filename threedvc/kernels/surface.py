@@ -17,7 +17,8 @@ def mark_surface(  # type: ignore[no-untyped-def]
 
     The surface passes between two face neighbours whose signed distances differ in sign; the nearer of
     the two is occupied. A difference of far more than a cell is no surface but the rim of an occlusion.
-    One of the two must be occupied by its log-odds.
+    One of the two, or of the next two cells behind them, must be occupied by its log-odds: where poses
+    scatter by more than the sensor, free space eats into the front of the surface.
     """
     root_origin, root, supers = tables
     flat_distance, flat_weight, flat_odds = distance.reshape(-1), weight.reshape(-1), log_odds.reshape(-1)
@@ -42,8 +43,18 @@ def mark_surface(  # type: ignore[no-untyped-def]
                 if (here > 0) == (there > 0) or abs(here - there) > 2.5 * voxel_size:
                     continue
                 nearer = abs(here) < abs(there) or (abs(here) == abs(there) and way > 0)
-                if nearer and max(log_odds[b, i], flat_odds[other]) > min_log_odds:
-                    surface[b, i] = 1
+                if not nearer:
+                    continue
+                deeper = way if here > 0 else -way
+                front = 0 if here > 0 else -1
+                for step in range(front, front + 4):
+                    k = deeper * step
+                    cell = find_cell(
+                        x + k * (axis == 0), y + k * (axis == 1), z + k * (axis == 2), root_origin, root, supers
+                    )
+                    if cell >= 0 and flat_odds[cell] > min_log_odds and flat_weight[cell] > 0.0:
+                        surface[b, i] = 1
+                if surface[b, i]:
                     break
 
 

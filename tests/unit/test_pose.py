@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""Transforms of which the numbers are known by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from threedvc.pose import (
+    compose,
+    identity,
+    inverse,
+    is_rigid,
+    make_pose,
+    quaternion,
+    rotation_angle,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    rotation_vector,
+)
+
+QUARTER_Z = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+ROOT = np.sqrt(0.5)
+
+
+def test_names_read_as_products() -> None:
+    T_world_camera = make_pose(QUARTER_Z, np.array([1.0, 2.0, 3.0]))
+    T_camera_object = make_pose(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    T_world_object = compose(T_world_camera, T_camera_object)
+    np.testing.assert_array_equal(T_world_object @ [0, 0, 0, 1], [1.0, 2.5, 3.0, 1.0])
+    np.testing.assert_array_equal(inverse(T_world_camera) @ [1, 2, 3, 1], [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("vector", "xyzw"),
+    [
+        ((0, 0, 0), (0, 0, 0, 1)),
+        ((0, 0, np.pi / 2), (0, 0, ROOT, ROOT)),
+        ((-np.pi / 2, 0, 0), (-ROOT, 0, 0, ROOT)),
+        ((np.pi, 0, 0), (1, 0, 0, 0)),
+        ((0, np.pi, 0), (0, 1, 0, 0)),
+        ((0, 0, np.pi), (0, 0, 1, 0)),
+    ],
+)
+def test_known_turns(vector: tuple[float, ...], xyzw: tuple[float, ...]) -> None:
+    rotation = rotation_from_vector(np.array(vector, dtype=np.float64))
+    np.testing.assert_allclose(rotation_from_quaternion(np.array(xyzw, dtype=np.float64)), rotation, atol=1e-12)
+    np.testing.assert_allclose(np.abs(quaternion(rotation)), np.abs(xyzw), atol=1e-12)
+    np.testing.assert_allclose(np.abs(rotation_vector(rotation)), np.abs(vector), atol=1e-12)
+    np.testing.assert_allclose(rotation_angle(make_pose(rotation, np.ones(3))), np.linalg.norm(vector), atol=1e-12)
+
+
+def test_a_quarter_turn_is_counter_clockwise() -> None:
+    np.testing.assert_allclose(rotation_from_vector(np.array([0, 0, np.pi / 2])), QUARTER_Z, atol=1e-15)
+
+
+@pytest.mark.parametrize("pose", [identity(), make_pose(QUARTER_Z, np.array([1e6, 0, 0])), np.eye(4) + 1e-4])
+def test_rigid(pose: NDArray[np.float64]) -> None:
+    assert is_rigid(pose)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        np.diag([2.0, 2.0, 2.0, 1.0]),
+        np.diag([1.0, 1.0, 1.0, 2.0]),
+        np.zeros((4, 4)),
+        np.eye(3),
+        np.full((4, 4), np.nan),
+        make_pose(np.eye(3), np.array([0, np.inf, 0])),
+        np.eye(4) + 0.01,
+    ],
+    ids=["mirrored", "scaled", "last row", "zero", "3x3", "nan", "infinite", "skewed"],
+)
+def test_not_rigid(pose: NDArray[np.float64]) -> None:
+    assert not is_rigid(pose)
