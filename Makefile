@@ -57,11 +57,11 @@ golden: $(READY) ## Write the golden streams anew; every release must still deco
 fuzz: $(READY) ## Feed damaged streams to the reader for longer than the tests do
 	THREEDVC_EXAMPLES=5000 $(BIN)/python -m pytest --quiet tests/fuzz tests/property
 
-bench: $(READY) ## Measure speed and write the table into benchmarks/RESULTS.md
+bench: $(READY) ## Measure speed and memory, write benchmarks/SPEED.md
 	$(BIN)/python benchmarks/speed.py
 
 paper: $(READY) ## Repeat the experiment of the 1995 paper
-	$(BIN)/python benchmarks/paper.py build/paper
+	$(BIN)/python benchmarks/paper_experiment.py build/paper
 
 docs: $(READY) ## Write docs/cli.md from the commands' own help
 	$(BIN)/python docs/make_cli.py

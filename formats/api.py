@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import BinaryIO, overload
 
@@ -17,7 +17,7 @@ from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, RenderConfig
 from threedvc.decoder import Decoder, FrameState, rig_of
 from threedvc.encoder import Encoder, verified
-from threedvc.errors import ConfigError, TruncatedStream
+from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import open_input, open_output
 from threedvc.formats.sources import open_sequence
 from threedvc.frame import NANOSECONDS, FrameSequence, SequenceInfo
@@ -26,7 +26,7 @@ from threedvc.pose import Pose, compose, inverse
 from threedvc.rendering import Picture, Renderer, RenderModel
 from threedvc.report import FrameReport
 
-__all__ = ["DecodedFrame", "DecodedStream", "EncodeReport", "decode", "encode", "open_stream"]
+__all__ = ["DecodedFrame", "DecodedStream", "EncodeReport", "decode", "encode", "errors_named", "open_stream"]
 
 EVERYTHING = frozenset({"color", "depth", "labels"})
 
@@ -198,10 +198,12 @@ class DecodedStream:
         self.decoder = Decoder()
         self._frames, self._what, self._objects = frames or (0, None), what, objects
         self._camera_path = camera_path
-        self._packets = _packets(source)
+        self._opened = ExitStack()
+        reader = self._opened.enter_context(open_input(source))
+        self._name, self._packets = reader.name, iter(reader)
         self._head = next(self._packets, None)
         if self._head is None or self._head.type != PacketType.STREAM:
-            raise TruncatedStream("the stream ends before its STREAM packet; nothing can be decoded")
+            raise TruncatedStream(f"{self._name}: ends before its STREAM packet; nothing can be decoded")
         header = StreamHeader.from_map(self._head.header)
         rig = rig_of(header)
         self._rig = rig if size is None else rig.resized(*size)
@@ -211,7 +213,7 @@ class DecodedStream:
 
     def __iter__(self) -> Iterator[DecodedFrame]:
         first, stop = self._frames
-        with closing(self._packets):
+        with self._opened, errors_named(self._name):
             for state in self.decoder.frames(self._all_packets()):
                 if stop is not None and state.index >= stop:
                     return
@@ -252,9 +254,15 @@ class DecodedStream:
         return self._renderer.draw(self._models, shown, color="color" in self._what)
 
 
-def _packets(source: str | os.PathLike[str] | BinaryIO) -> Iterator[Packet]:
-    with open_input(source) as reader:
-        yield from reader
+@contextmanager
+def errors_named(name: str) -> Iterator[None]:
+    """Put the name of the stream before the message of an error that lacks it: a decoder knows no files."""
+    try:
+        yield
+    except FormatError as error:
+        if str(error).startswith(f"{name}: "):
+            raise
+        raise type(error)(f"{name}: {error}") from None
 
 
 def _info(header: StreamHeader, rig: CameraRig, what: frozenset[str]) -> SequenceInfo:

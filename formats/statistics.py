@@ -23,7 +23,7 @@ from typing import Any, BinaryIO, TypeAlias
 from threedvc.camera import CameraRig
 from threedvc.decoder import Decoder, rig_of
 from threedvc.errors import FormatError, TruncatedStream
-from threedvc.formats.api import DecodedFrame, DecodedStream, open_stream
+from threedvc.formats.api import DecodedFrame, DecodedStream, errors_named, open_stream
 from threedvc.formats.comparison import Comparison, check_comparable, paired
 from threedvc.formats.container import StreamReader
 from threedvc.formats.sources import open_sequence
@@ -250,21 +250,10 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
         raise FormatError(f"{os.fspath(path)}: cannot be opened: {error.strerror}; check the name") from None
 
 
-@contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Put the name of the stream before the message of an error that does not have it: a decoder knows no files."""
-    try:
-        yield
-    except FormatError as error:
-        if str(error).startswith(f"{name}: "):
-            raise
-        raise type(error)(f"{name}: {error}") from None
-
-
 def _report(file: BinaryIO, name: str) -> StreamStatistics:
     tally, decoder, times = Tally(), Decoder(), []
     packets = tally.counted(StreamReader(file, name).records())
-    with suppress(TruncatedStream), _named(name):
+    with suppress(TruncatedStream), errors_named(name):
         for state in decoder.frames(packets):
             times.append(state.timestamp_ns)
     if decoder.header is None:

@@ -16,7 +16,8 @@ import numpy as np
 from threedvc.camera import Camera, CameraRig
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import decode_update
-from threedvc.errors import ConfigError, CorruptStream, TruncatedStream
+from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
+from threedvc.limits import MAX_COUNT
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
     BatchHeader,
@@ -29,6 +30,7 @@ from threedvc.packets import (
     PoseHeader,
     StreamHeader,
     check_supported,
+    type_name,
     unpack_batch,
 )
 from threedvc.pose import Pose, compose, identity, inverse, make_pose
@@ -38,6 +40,7 @@ from threedvc.wire import ByteReader
 __all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "nearest_multiple", "rig_of"]
 
 DIGEST_BYTES = 16
+IN_BATCHES = frozenset({PacketType.OBJECT, PacketType.MODEL, PacketType.POSE, PacketType.CLOCK})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +113,12 @@ def _camera(values: tuple[float, ...]) -> Camera:
     )  # fmt: skip
 
 
+def _check_pose_count(members: Iterable[Packet]) -> None:
+    poses = sum(PoseHeader.from_map(member.header).count for member in members if member.type == PacketType.POSE)
+    if poses > MAX_COUNT:
+        raise LimitExceeded(f"a BATCH holds {poses} poses, at most {MAX_COUNT} are accepted")
+
+
 class Decoder:
     """Applies packets; the same class checks the encoder's own output.
 
@@ -119,8 +128,6 @@ class Decoder:
         The STREAM header, once it came.
     models
         Decoded models by object number, as of the frame last yielded.
-    report
-        What the encoder told about its work; empty if the stream does not say.
     frame_count
         Frames that the stream has conveyed so far.
     complete
@@ -130,13 +137,20 @@ class Decoder:
     def __init__(self) -> None:
         self.header: StreamHeader | None = None
         self.models: dict[int, DecodedModel] = {}
-        self.report = StreamReport(entropy_bits=(), status=())
         self.frame_count = 0
         self.complete = False
+        self._entropy_bits: list[float] = []
+        self._status: list[str] = []
         self._coders: dict[int, PoseCoder] = {}
         self._next_coded: dict[int, int] = {}
         self._scripts: dict[int, Pose] = {}
-        self._corrections: dict[int, int] = {}
+        self._correction = 0
+        self._next_corrected = 0
+
+    @property
+    def report(self) -> StreamReport:
+        """What the encoder told about its work, of at most `MAX_COUNT` frames; empty if the stream does not say."""
+        return StreamReport(entropy_bits=tuple(self._entropy_bits), status=tuple(self._status))
 
     def frames(self, packets: Iterable[Packet]) -> Iterator[FrameState]:
         """Yield the state of every frame, in order; `models` is up to date whenever one is yielded.
@@ -145,6 +159,8 @@ class Decoder:
         ------
         CorruptStream
             If packets contradict each other or the digest in END is not that of the decoded models.
+        LimitExceeded
+            If more frames pass without a packet, or have poses in one, than a reader accepts.
         TruncatedStream
             If the packets stop before END, after all complete frames were yielded.
         """
@@ -158,6 +174,8 @@ class Decoder:
                 return
             elif packet.type == PacketType.META:
                 self._tell(packet)
+            elif packet.type in IN_BATCHES:
+                raise CorruptStream(f"{type_name(packet.type)} stands outside a BATCH")
         raise TruncatedStream(f"the stream ends after {self.frame_count} frames, before its END packet")
 
     def _begin(self, header: StreamHeader) -> None:
@@ -168,12 +186,16 @@ class Decoder:
 
     def _batch(self, packet: Packet) -> Iterator[FrameState]:
         header = BatchHeader.from_map(packet.header)
-        if self.header is None or header.frame < self.frame_count:
-            raise CorruptStream(f"the BATCH of frame {header.frame} comes after {self.frame_count} frames or before STREAM")
+        if self.header is None:
+            raise CorruptStream(f"the BATCH of frame {header.frame} comes before STREAM")
+        if header.frame < self.frame_count:
+            raise CorruptStream(f"the BATCH of frame {header.frame} comes after {self.frame_count} frames")
         yield from self._still_frames(header.frame)
         stop = header.frame + header.count
+        members = unpack_batch(packet)
+        _check_pose_count(members)
         todo: dict[int, list[Callable[[], None]]] = {}
-        for member in unpack_batch(packet):
+        for member in members:
             for frame, action in self._actions(member):
                 if not header.frame <= frame < stop:
                     raise CorruptStream(f"a packet of frame {frame} stands in the BATCH of frames {header.frame}..{stop - 1}")
@@ -195,16 +217,16 @@ class Decoder:
             for step, pose in enumerate(self._poses(header, packet.payload)):
                 yield header.frame + step, lambda pose=pose: self._move(header.object_id, pose)  # type: ignore[misc]
         elif packet.type == PacketType.CLOCK:
-            self._correct_clock(ClockHeader.from_map(packet.header), packet.payload)
+            yield from self._clock(ClockHeader.from_map(packet.header), packet.payload)
         elif packet.type == PacketType.META:
             self._tell(packet)
 
     def _tell(self, packet: Packet) -> None:
         told = unpack_report(packet)
         if told is not None:
-            self.report = StreamReport(
-                entropy_bits=self.report.entropy_bits + told.entropy_bits, status=self.report.status + told.status
-            )
+            room = MAX_COUNT - len(self._status)
+            self._entropy_bits += told.entropy_bits[:room]
+            self._status += told.status[:room]
 
     def _appear(self, header: ObjectHeader) -> None:
         if header.object_id in self.models:
@@ -220,8 +242,12 @@ class Decoder:
 
     def _poses(self, header: PoseHeader, payload: bytes) -> list[Pose]:
         self._known(header.object_id)
-        coder = self._coders[header.object_id]
-        if header.frame != self._next_coded.get(header.object_id):
+        coder, due = self._coders[header.object_id], self._next_coded.get(header.object_id, 0)
+        if header.frame < due:
+            raise CorruptStream(
+                f"a POSE of object {header.object_id} from frame {header.frame} on follows one up to frame {due - 1}"
+            )
+        if header.frame != due:
             coder.hold()
         self._next_coded[header.object_id] = header.frame + header.count
         return list(coder.decode(payload, header.count))
@@ -234,29 +260,46 @@ class Decoder:
             raise CorruptStream(f"a packet names object {number}, which was not introduced")
         return self.models[number]
 
-    def _correct_clock(self, header: ClockHeader, payload: bytes) -> None:
+    def _clock(self, header: ClockHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
+        if header.frame < self._next_corrected:
+            raise CorruptStream(f"a CLOCK from frame {header.frame} on follows one up to frame {self._next_corrected - 1}")
+        self._next_corrected = header.frame + header.count
         reader = ByteReader(payload)
-        for step in range(header.count):
-            self._corrections[header.frame + step] = reader.signed_varint()
+        for frame in range(header.frame, self._next_corrected):
+            correction = reader.signed_varint()
+            yield frame, lambda correction=correction: self._correct(correction)  # type: ignore[misc]
+        if reader.remaining:
+            raise CorruptStream(f"{reader.remaining} bytes follow the corrections of CLOCK")
+
+    def _correct(self, nanoseconds: int) -> None:
+        self._correction = nanoseconds
 
     def _still_frames(self, stop: int) -> Iterator[FrameState]:
+        if stop - self.frame_count > MAX_COUNT:
+            raise LimitExceeded(
+                f"the next packet is that of frame {stop} after {self.frame_count} frames, at most {MAX_COUNT} may pass"
+                " without one"
+            )
         for frame in range(self.frame_count, stop):
             yield self._state(frame)
 
     def _state(self, frame: int) -> FrameState:
         assert self.header is not None
         nominal = self.header.start_ns + nearest_multiple(frame, self.header.period_num, self.header.period_den)
+        timestamp, self._correction = nominal + self._correction, 0
         self.frame_count = frame + 1
         poses = camera_poses(self._scripts)
         return FrameState(
             index=frame,
-            timestamp_ns=nominal + self._corrections.pop(frame, 0),
+            timestamp_ns=timestamp,
             T_world_camera=inverse(self._scripts.get(0, identity())),
             T_camera_object=poses,
         )
 
     def _end(self, header: EndHeader) -> Iterator[FrameState]:
-        if self.header is None or header.frames < self.frame_count:
+        if self.header is None:
+            raise CorruptStream("END comes before STREAM")
+        if header.frames < self.frame_count:
             raise CorruptStream(f"END tells of {header.frames} frames, the stream conveyed {self.frame_count}")
         yield from self._still_frames(header.frames)
         if models_digest(self.models) != header.digest:

@@ -19,6 +19,7 @@ from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig
 from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.frame import NANOSECONDS, SequenceInfo
+from threedvc.limits import MAX_COUNT
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
@@ -41,6 +42,7 @@ from threedvc.wire import pack_signed_varint
 __all__ = ["Emitter"]
 
 MAX_STILL_GAP = 2
+MAX_REST = MAX_COUNT // 2
 
 
 class _Sent:
@@ -74,6 +76,7 @@ class Emitter:
         )
         self._clock = _clock(scene.info)
         self._world: list[Pose] = []
+        self._batched = 0
 
     @property
     def digest(self) -> bytes:
@@ -99,7 +102,7 @@ class Emitter:
         ).packet()
 
     def group(self, first: int, stop: int, reports: Sequence[FrameReport], *, last: bool) -> Packet | None:
-        """Return the BATCH of frames ``first..stop``, or None if nothing changes in them.
+        """Return the BATCH of frames ``first..stop``, or None if nothing changes in them and none is due.
 
         Parameters
         ----------
@@ -113,9 +116,11 @@ class Emitter:
         members = list(self._clock_packets(first, stop))
         for number in sorted(self._scene.objects):
             members += self._object(number, first, stop, last)
-        if reports:
-            members.append(report_packet(reports))
-        return pack_batch(BatchHeader(frame=first, count=stop - first), members) if members else None
+        members += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
+        if not members and stop - self._batched <= MAX_REST:
+            return None
+        self._batched = stop
+        return pack_batch(BatchHeader(frame=first, count=stop - first), members)
 
     def end(self) -> Packet:
         """Return the END packet."""

@@ -51,4 +51,4 @@ MAX_FRAME: Final = (1 << 31) - 1
 """Largest number of a frame."""
 
 MAX_COUNT: Final = 1 << 20
-"""Frames that one packet speaks of."""
+"""Frames that one packet speaks of, or that pass without a BATCH; poses in a BATCH."""

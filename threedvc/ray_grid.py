@@ -28,14 +28,21 @@ class RayGrid:
 
     Attributes
     ----------
+    width, height, fx
+        Number of rays along each side, and focal length in rays.
     slopes
         (n, 2) float64 undistorted slopes, row by row.
+    sparse
+        Numbers of the rays at even rows and columns.
     origin, size
         (2,) first corner and extent of a tile.
     """
 
     def __init__(self, camera: Camera, supersample: int = 1) -> None:
         fine = camera.resized(camera.width * supersample, camera.height * supersample) if supersample > 1 else camera
+        self.width, self.height, self.fx = fine.width, fine.height, fine.fx
+        numbers = np.arange(fine.width * fine.height).reshape(fine.height, fine.width)
+        self.sparse = np.ascontiguousarray(numbers[::2, ::2]).ravel()
         self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
         low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
         self.origin = low

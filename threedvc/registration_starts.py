@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Poses from which registration may start: prediction, and what to try when it fails.
+"""Poses from which registration may start: the prediction, and what to try when it fails.
 
-`register` refines a pose within about a tenth of the depth or some twenty degrees. Larger motions, as of an
-object on a turntable or after dropped frames, need a better start. `register_from_starts` tries the
-prediction first, and only if that is not trusted the pose of the view, the pose that brings the middles together, that of
-matched picture features, and turns of the object about its middle; the best by agreement is refined.
+`register` refines a pose within about a tenth of the depth or some twenty degrees. Larger motions, as of
+an object on a turntable or after dropped frames, need a better start. `register_from_starts` tries the
+prediction and, only if that does not fit, the pose of the view, the pose of matched picture features, and
+the view's pose moved to the middle of what is seen, as it is and turned about that middle. The best of them
+at coarse levels are refined.
 """
 
 from __future__ import annotations
@@ -15,15 +16,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.alignment import Alignment
 from threedvc.camera import Camera
 from threedvc.pose import Pose, inverse, make_pose, orthonormalised, rotation_from_vector
-from threedvc.registration import ModelView, Problem, Registration, RegistrationConfig, Sigma, Status, camera_rays
+from threedvc.registration_data import (
+    Doubles,
+    Floats,
+    Mask,
+    ModelView,
+    Registration,
+    RegistrationConfig,
+    Sigma,
+    Status,
+    camera_rays,
+)
 
 __all__ = ["feature_start", "other_starts", "predict", "register_from_starts"]
-
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 TURNS_RAD = (0.2, 0.4)
 REFINED_STARTS = 3
@@ -57,13 +65,13 @@ def register_from_starts(
     Parameters are those of `threedvc.registration.register`. A result from another start replaces the
     first only if it is tracked and agrees better.
     """
-    problem = Problem(depth, intensity, mask, camera, view, sigma_m, config or RegistrationConfig(), threads)
-    first = problem.solve_near(T_guess)
-    if first.status is not Status.LOST and first.inlier_fraction >= problem.config.weak_inliers:
+    alignment = Alignment(depth, intensity, mask, camera, view, sigma_m, config or RegistrationConfig(), threads)
+    first = alignment.solve_near(T_guess)
+    if first.status is not Status.LOST and first.inlier_fraction >= alignment.config.weak_inliers:
         return first
     starts = other_starts(depth, intensity, mask, camera, view)
-    coarse = sorted((problem.solve(start, finest=1) for start in starts), key=_agreement, reverse=True)
-    refined = (problem.solve(found.T_camera_object) for found in coarse[:REFINED_STARTS] if found.inliers)
+    coarse = sorted((alignment.solve(start, finest=1) for start in starts), key=_agreement, reverse=True)
+    refined = (alignment.solve(found.T_camera_object) for found in coarse[:REFINED_STARTS] if found.inliers)
     trusted = [found for found in refined if found.status is Status.TRACKED and found.inlier_fraction >= MIN_INLIERS]
     return max([first, *trusted], key=_agreement)
 
@@ -72,7 +80,9 @@ def _agreement(found: Registration) -> float:
     return found.agreement if found.status is not Status.LOST else 0.0
 
 
-def other_starts(depth: Floats, intensity: Floats, mask: Mask | None, camera: Camera, view: ModelView) -> Iterator[Pose]:
+def other_starts(
+    depth: Floats, intensity: Floats, mask: Mask | None, camera: Camera, view: ModelView
+) -> Iterator[Pose]:
     """Yield poses ``T_camera_object`` to try: the view's, middles brought together, features, turns."""
     yield view.T_camera_object
     points, there = _points(depth, mask, camera), _points(view.depth, None, camera)
@@ -110,19 +120,19 @@ def feature_start(depth: Floats, intensity: Floats, mask: Mask | None, camera: C
     model = _features(view.intensity, view.depth > 0)
     if frame is None or model is None:
         return None
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(frame[1], model[1], k=2)
-    good = [best for best, second in (pair for pair in pairs if len(pair) == 2) if best.distance < MAX_RATIO * second.distance]
-    if len(good) < MIN_MATCHES:
+    pairs = [pair for pair in cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(frame[1], model[1], k=2) if len(pair) == 2]
+    clear = [best for best, second in pairs if best.distance < MAX_RATIO * second.distance]
+    if len(clear) < MIN_MATCHES:
         return None
-    here = _lifted(frame[0][[match.queryIdx for match in good]], depth, camera)
-    there = _lifted(model[0][[match.trainIdx for match in good]], view.depth, camera)
+    here = _lifted(frame[0][[match.queryIdx for match in clear]], depth, camera)
+    there = _lifted(model[0][[match.trainIdx for match in clear]], view.depth, camera)
     motion = _common_motion(there, here)
     return None if motion is None else motion @ view.T_camera_object
 
 
 def _features(luma: Floats, known: Mask) -> tuple[Doubles, NDArray[np.uint8]] | None:
     picture = np.clip(np.nan_to_num(luma, nan=0.0), 0, 255).astype(np.uint8)
-    points, descriptors = cv2.ORB_create(MAX_FEATURES, fastThreshold=7).detectAndCompute(picture, None)
+    points, descriptors = cv2.ORB.create(MAX_FEATURES, fastThreshold=7).detectAndCompute(picture, None)
     pixels = np.array([point.pt for point in points]).reshape(-1, 2)
     if not len(pixels):
         return None

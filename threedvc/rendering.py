@@ -8,7 +8,7 @@ for any number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from threedvc.block_index import BLOCK_CELLS, BlockIndex
 from threedvc.camera import CameraRig
 from threedvc.config import RenderConfig
 from threedvc.kernels.raycast import OPACITY, cast_rays
+from threedvc.kernels.hole_filling import pull, push
+from threedvc.kernels.ray_sampling import interpolate_between
 from threedvc.kernels.render_blocks import build_block, fit_planes
 from threedvc.object_model import DecodedModel
 from threedvc.parallel import for_ranges
@@ -29,6 +31,7 @@ __all__ = ["Picture", "RenderModel", "Renderer"]
 BORDERED_CELLS = 9**3
 PLANE_WEIGHTS = np.array([0.25, 0.75, 1.0, 0.75, 0.25])
 SMALL_PICTURE = 320 * 240
+MIN_RAYS_PER_CELL = 2.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +59,7 @@ class RenderModel:
     def __init__(self, model: DecodedModel) -> None:
         self.model = model
         self.index = BlockIndex()
-        self.near = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.state = np.zeros((0, BORDERED_CELLS), dtype=np.uint8)
         self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
         self.color = np.zeros((0, BORDERED_CELLS, 3), dtype=np.int16)
@@ -84,7 +87,7 @@ class RenderModel:
         self._build(_shifted(model.index.coords[numbers], (-1, 0)), threads)
 
     def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
-        near = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
+        skip = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
         state = np.empty((len(blocks), BORDERED_CELLS), dtype=np.uint8)
         plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
         color = np.empty((len(blocks), BORDERED_CELLS, 3), dtype=np.int16)
@@ -93,23 +96,23 @@ class RenderModel:
 
         def block_range(start: int, stop: int) -> None:
             build_block(
-                targets, blocks, start, stop, model.index.tables, model.occupied, self._planes, model.color, near,
+                targets, blocks, start, stop, model.index.tables, model.occupied, self._planes, model.color, skip,
                 state, plane, color,
             )  # fmt: skip
 
         for_ranges(block_range, len(blocks), threads)
-        keep = near.any(axis=1) | (self.index.locate(blocks * 8) >= 0)
+        keep = (skip == 0).any(axis=1) | (self.index.locate(blocks * 8) >= 0)
         self.index.insert(blocks[keep])
         self._grow()
         slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
-        self.near[slots], self.state[slots] = near[keep], state[keep]
+        self.skip[slots], self.state[slots] = skip[keep], state[keep]
         self.plane[slots], self.color[slots] = plane[keep], color[keep]
 
     def _grow(self) -> None:
-        more = max(self.index.count, len(self.near) * 3 // 2) - len(self.near)
-        if self.index.count <= len(self.near):
+        more = max(self.index.count, len(self.skip) * 3 // 2) - len(self.skip)
+        if self.index.count <= len(self.skip):
             return
-        for name in ("near", "state", "plane", "color"):
+        for name in ("skip", "state", "plane", "color"):
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
 
@@ -173,66 +176,89 @@ class Renderer:
     def _cast(
         self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], with_color: bool
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+        """Cast every second ray of every second row, then those between that cannot be interpolated."""
         count = len(rays.slopes)
         depth = np.zeros(count, dtype=np.float32)
         color = np.zeros((count, 3), dtype=np.float32)
         labels = np.zeros(count, dtype=np.uint8)
-        for number in sorted(poses):
-            model = models[number]
-            if not model.index.count:
-                continue
-            T_cells_camera = cells_from_camera(poses[number], model.model.voxel_size_m)
-            near, far = rays.ranges(model.index, poses[number], model.model.voxel_size_m)
+        casts = [
+            self._caster(rays, models[number], number, poses[number], with_color, depth, color, labels)
+            for number in sorted(poses)
+            if models[number].index.count
+        ]
+        for cast in casts:
+            cast(rays.sparse)
+        wanted = np.ones(count, dtype=np.uint8)
+        wanted[rays.sparse] = 0
+        shown = [models[number].model.voxel_size_m for number in poses if models[number].index.count]
+        if shown and _cell_is_wide(min(shown), depth[rays.sparse], rays.fx):
 
-            def ray_range(
-                start: int,
-                stop: int,
-                model: RenderModel = model,
-                number: int = number,
-                T_cells_camera: Pose = T_cells_camera,
-                near: NDArray[np.float64] = near,
-                far: NDArray[np.float64] = far,
-            ) -> None:
+            def between(start: int, stop: int) -> None:
+                interpolate_between(start, stop, rays.width, rays.height, depth, color, labels, wanted)
+
+            for_ranges(between, (rays.height + 1) // 2, self.config.threads)
+        rest = np.flatnonzero(wanted)
+        for cast in casts:
+            cast(rest)
+        return depth, color, labels
+
+    def _caster(
+        self,
+        rays: RayGrid,
+        model: RenderModel,
+        number: int,
+        pose: Pose,
+        with_color: bool,
+        depth: NDArray[np.float32],
+        color: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+    ) -> Callable[[NDArray[np.int64]], None]:
+        """Return a function that casts the rays of given numbers into one object."""
+        T_cells_camera = cells_from_camera(pose, model.model.voxel_size_m)
+        near, far = rays.ranges(model.index, pose, model.model.voxel_size_m)
+
+        def cast(order: NDArray[np.int64]) -> None:
+            def ray_range(start: int, stop: int) -> None:
                 cast_rays(
-                    rays.slopes, start, stop, T_cells_camera, rays.origin, rays.size, near, far, model.index.coords,
-                    model.index.tables,                    model.near, model.state, model.plane, model.color, number, with_color, OPACITY, depth, color, labels,
+                    rays.slopes, order, start, stop, T_cells_camera, rays.origin, rays.size, near, far,
+                    model.index.coords, model.index.tables, model.skip, model.state, model.plane, model.color, number,
+                    with_color, OPACITY, depth, color, labels,
                 )  # fmt: skip
 
-            for_ranges(ray_range, count, self.config.threads)
-        return depth, color, labels
+            for_ranges(ray_range, len(order), self.config.threads)
+
+        return cast
 
     def _pixels(self, color: NDArray[np.float32], depth: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Average the rays of each pixel and fill what none of them hit."""
         camera, s = self.rig.color, self.supersample
-        shape = (camera.height, s, camera.width, s)
-        hits = (depth > 0).astype(np.float32).reshape(shape)
-        shade = color.reshape(*shape, 3)
-        total = np.zeros((camera.height, camera.width, 3), dtype=np.float32)
-        weight = np.zeros((camera.height, camera.width, 1), dtype=np.float32)
-        for i in range(s):
-            for j in range(s):
-                weight += hits[:, i, :, j, None]
-                total += shade[:, i, :, j]
-        filled = _fill(total, weight)
-        return np.floor(np.clip(filled, 0, 255) + np.float32(0.5)).astype(np.uint8)
+        if s == 1:
+            value = color.reshape(camera.height, camera.width, 3)
+            known = (depth > 0).astype(np.uint8).reshape(camera.height, camera.width)
+        else:
+            shade = color.reshape(camera.height, s, camera.width, s, 3)
+            hits = (depth > 0).astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
+            rays = [(i, j) for i in range(s) for j in range(s)]
+            weight = sum((hits[:, i, :, j] for i, j in rays), np.float32(0))
+            total = sum((shade[:, i, :, j] for i, j in rays), np.float32(0))
+            value = total / np.maximum(weight, np.float32(1))
+            known = (weight[..., 0] > 0).astype(np.uint8)
+        _fill(value, known)
+        return np.asarray(np.clip(value, 0, 255) + np.float32(0.5)).astype(np.uint8)
 
 
-def _fill(total: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Divide by the weight; where it is 0, take the value of a coarser level (pull-push)."""
-    height, width = weight.shape[:2]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        value = np.where(weight > 0, total / weight, np.float32(0))
-    if weight.all() or height * width == 1:
-        return value
-    known = (weight > 0).astype(np.float32)
-    coarse = _fill(_halved(value * known), _halved(known))
-    up = np.repeat(np.repeat(coarse, 2, axis=0)[:height], 2, axis=1)[:, :width]
-    return np.where(weight > 0, value, up)
+def _cell_is_wide(voxel_size_m: float, depth: NDArray[np.float32], fx: float) -> bool:
+    """Tell whether cells are wide enough against the rays that every second ray meets them all."""
+    hits = depth[depth > 0]
+    return len(hits) > 0 and voxel_size_m * fx >= MIN_RAYS_PER_CELL * float(np.median(hits))
 
 
-def _halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Sum 2x2 pixels; an odd last row or column stands alone."""
-    height, width = values.shape[:2]
-    padded = np.pad(values, ((0, height % 2), (0, width % 2), (0, 0)))
-    rows = padded[0::2] + padded[1::2]
-    return rows[:, 0::2] + rows[:, 1::2]
+def _fill(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:
+    """Fill pixels (h, w, 3) where `known` (h, w) is 0 from ever coarser levels (pull-push)."""
+    if known.all() or value.shape[0] * value.shape[1] == 1:
+        return
+    height, width = -(-value.shape[0] // 2), -(-value.shape[1] // 2)
+    coarse, coarse_known = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.uint8)
+    pull(value, known, coarse, coarse_known)
+    _fill(coarse, coarse_known)
+    push(value, known, coarse)

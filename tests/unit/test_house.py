@@ -150,6 +150,13 @@ class TestTexts:
     def test_python_file_starts_with_its_licence(self, path: Path) -> None:
         assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: MIT\n")
 
+    def test_nothing_ignored_is_tracked(self) -> None:
+        if not (REPOSITORY / ".git").exists():
+            pytest.skip("not a git checkout")
+        command = ["git", "ls-files", "--cached", "--ignored", "--exclude-standard"]
+        listed = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True)
+        assert listed.stdout.splitlines() == []
+
     @pytest.mark.parametrize("pattern", [UNFINISHED, MACHINE_PATH], ids=["unfinished", "machine path"])
     def test_no_file_holds(self, pattern: re.Pattern[str]) -> None:
         found = [

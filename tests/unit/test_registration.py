@@ -4,20 +4,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-import reference_registration as reference
 from numpy.typing import NDArray
-from reference_registration import ROOM, WALL, Box, Planes, Shape, Sphere, draw
 
+import reference_registration as reference
+from reference_registration import ROOM, WALL, Box, Planes, Sphere, draw
+from threedvc.alignment import Alignment
 from threedvc.camera import Camera
 from threedvc.errors import ConfigError
 from threedvc.kernels import registration as kernels
 from threedvc.pose import Pose, identity, inverse, is_rigid, make_pose, rotation_angle, rotation_from_vector
 from threedvc.registration import (
     ModelView,
-    Problem,
     Registration,
     RegistrationConfig,
     Status,
@@ -42,15 +43,18 @@ def moved(rotation: tuple[float, float, float], translation: tuple[float, float,
     return make_pose(rotation_from_vector(np.array(rotation)), np.array(translation))
 
 
-def run(seen: ModelView, view: ModelView, guess: Pose, mask: NDArray[np.bool_] | None = None, **options: object) -> Registration:
-    config = RegistrationConfig(**options)  # type: ignore[arg-type]
+def run(
+    seen: ModelView, view: ModelView, guess: Pose, mask: NDArray[np.bool_] | None = None, **options: Any
+) -> Registration:
+    config = RegistrationConfig(**options)
     return register(seen.depth, seen.intensity, mask, seen.camera, view, guess, sigma_m=noise, config=config)
 
 
 def errors(found: Pose, true: Pose, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[float, float]:
     """Displacement of a point of the object in millimetres, and angle in degrees."""
     point = np.array([*centre, 1.0])
-    return 1000 * float(np.linalg.norm((found - true) @ point)), float(np.degrees(rotation_angle(found @ inverse(true))))
+    turn = rotation_angle(found @ inverse(true))
+    return 1000 * float(np.linalg.norm((found - true) @ point)), float(np.degrees(turn))
 
 
 def assert_found(result: Registration, true: Pose, *, mm: float = 1.0, degrees: float = 0.1) -> None:
@@ -140,7 +144,8 @@ class TestDegenerate:
         assert result.conditioning < RegistrationConfig().min_conditioning
         assert np.abs(result.T_camera_object @ [0.0, 0.0, 1.5, 1.0] - [0.0, 0.0, 1.53, 1.0]).max() < 0.001
         assert abs(result.T_camera_object[1, 0]) < 1e-3
-        np.testing.assert_allclose(result.T_camera_object[:3, 2], rotation_from_vector(np.array([0.02, -0.01, 0]))[:, 2], atol=1e-3)
+        tilt = moved((0.02, -0.01, 0.0), (0.0, 0.0, 0.0))
+        np.testing.assert_allclose(result.T_camera_object[:3, 2], tilt[:3, 2], atol=1e-3)
 
     def test_wall_seen_by_noise_alone_keeps_the_prediction(self, rng: np.random.Generator) -> None:
         first, second = (noisy(draw(CAMERA, identity(), WALL, plain=True), rng) for _ in range(2))
@@ -201,9 +206,7 @@ class TestFailure:
     def test_sizes_must_agree(self) -> None:
         view = draw(CAMERA, identity(), ROOM)
         with pytest.raises(ConfigError, match=r"^depth has shape \(3, 4\), the camera asks for \(120, 160\)$"):
-            run(replace(view, depth=view.depth), view, identity(), None) if False else register(
-                np.zeros((3, 4), np.float32), view.intensity, None, CAMERA, view, identity(), sigma_m=noise
-            )
+            register(np.zeros((3, 4), np.float32), view.intensity, None, CAMERA, view, identity(), sigma_m=noise)
         with pytest.raises(ConfigError, match=r"^view normals has shape \(120, 160\)"):
             replace(view, normals=view.depth)
         with pytest.raises(ConfigError, match="another camera"):
@@ -218,9 +221,9 @@ class TestFailure:
             ({"weak_overlap": 0.1}, "overlap bounds of registration 0.15, 0.1 must be"),
         ],
     )
-    def test_impossible_choices(self, options: dict[str, float], text: str) -> None:
+    def test_impossible_choices(self, options: dict[str, Any], text: str) -> None:
         with pytest.raises(ConfigError, match=text):
-            RegistrationConfig(**options)  # type: ignore[arg-type]
+            RegistrationConfig(**options)
 
 
 class TestRobustness:
@@ -284,10 +287,7 @@ class TestRobustness:
 class TestRest:
     def decide(self, seen: ModelView, view: ModelView, previous: Pose, resting: bool) -> tuple[bool, Registration]:
         found = run(seen, view, previous)
-        config = RegistrationConfig()
-        still = rests(
-            seen.depth, seen.intensity, None, CAMERA, view, previous, found, sigma_m=noise, resting=resting, config=config
-        )
+        still = rests(seen.depth, seen.intensity, None, CAMERA, view, previous, found, sigma_m=noise, resting=resting)
         return still, found
 
     @pytest.mark.parametrize("resting", [True, False])
@@ -300,7 +300,8 @@ class TestRest:
     @pytest.mark.parametrize("resting", [True, False])
     def test_a_pixel_of_motion_is_seen(self, resting: bool, rng: np.random.Generator) -> None:
         true = moved((0, 0, 0), (0.9 / 130, 0, 0)) @ T_CAMERA_BOX
-        still, _ = self.decide(noisy(draw(CAMERA, true, BOX), rng), draw(CAMERA, T_CAMERA_BOX, BOX), T_CAMERA_BOX, resting)
+        view, seen = draw(CAMERA, T_CAMERA_BOX, BOX), noisy(draw(CAMERA, true, BOX), rng)
+        still, _ = self.decide(seen, view, T_CAMERA_BOX, resting)
         assert not still
 
     def test_slow_motion_is_followed_within_a_fraction_of_a_pixel(self, rng: np.random.Generator) -> None:
@@ -330,7 +331,8 @@ class TestStarts:
     def test_a_large_turn_is_found(self, axis: int) -> None:
         turn = np.zeros(3)
         turn[axis] = 0.45
-        true = make_pose(np.eye(3), T_CAMERA_BOX[:3, 3]) @ moved(tuple(turn), (0.02, 0, 0)) @ make_pose(T_CAMERA_BOX[:3, :3], np.zeros(3))
+        place = make_pose(np.eye(3), T_CAMERA_BOX[:3, 3] + [0.02, 0, 0])
+        true = place @ make_pose(rotation_from_vector(turn) @ T_CAMERA_BOX[:3, :3], np.zeros(3))
         view, seen = draw(CAMERA, T_CAMERA_BOX, BOX), draw(CAMERA, true, BOX)
         result = register_from_starts(seen.depth, seen.intensity, None, CAMERA, view, T_CAMERA_BOX, sigma_m=noise)
         assert_found(result, true)
@@ -430,8 +432,8 @@ class TestKernels:
         view.intensity[rng.random(view.depth.shape) < 0.1] = np.nan
         seen.depth[rng.random(seen.depth.shape) < 0.2] *= np.float32(1.2)
         config = RegistrationConfig(levels=1, detail_pixels=0)
-        problem = Problem(seen.depth, seen.intensity, None, camera, view, noise, config, 1)
-        samples, gates = problem.samples[0], np.array([0.05, 6.0, 0.7])
+        alignment = Alignment(seen.depth, seen.intensity, None, camera, view, noise, config, 1)
+        samples, gates = alignment.samples[0], np.array([0.05, 6.0, 0.7])
         rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
         T_view_frame = inverse(MOTION) @ moved((0, 0.01, 0), (0.01, 0, 0))
         kernels.associate(
@@ -449,8 +451,8 @@ class TestKernels:
 
     def test_luma_slope_is_the_derivative_by_position(self) -> None:
         view, seen = draw(LENS, identity(), WALL), draw(LENS, identity(), WALL)
-        problem = Problem(seen.depth, seen.intensity, None, LENS, view, noise, RegistrationConfig(levels=1, detail_pixels=0), 1)
-        samples = problem.samples[0]
+        config = RegistrationConfig(levels=1, detail_pixels=0)
+        samples = Alignment(seen.depth, seen.intensity, None, LENS, view, noise, config, 1).samples[0]
 
         def rows_at(pose: Pose) -> NDArray[np.float64]:
             rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
@@ -481,8 +483,9 @@ class TestKernels:
         exposure, scales = np.array([1.1, 120.0]), np.array([1.3, 8.0, 0.7])
         chunks = -(-count // chunk)
         sums = np.empty((chunks, 2, kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
-        kernels.accumulate_normal_equations(rows, lumas, sigmas, centre, exposure, scales, 4.685, chunk, sums, 0, chunks)
-        matrix, side = reference.normal_equations(rows, lumas, sigmas, centre, exposure, scales, 4.685)
+        given = rows, lumas, sigmas, centre, exposure, scales, 4.685
+        kernels.accumulate_normal_equations(*given, chunk, sums, 0, chunks)
+        matrix, side = reference.normal_equations(*given)
         total = sums.sum(axis=(0, 1))
         np.testing.assert_allclose(total[:, :-1], matrix, rtol=1e-9, atol=1e-6)
         np.testing.assert_allclose(total[:, -1], side, rtol=1e-9, atol=1e-6)

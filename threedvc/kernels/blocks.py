@@ -17,7 +17,7 @@ MISSING_SUPER = -2
 
 
 @kernel
-def find_block(bx, by, bz, root_origin, root, supers):  # type: ignore[no-untyped-def]
+def find_block(bx, by, bz, root_origin, root, supers):
     """Return the number of a block, -1 if absent, -2 if its whole superblock is absent."""
     sx, sy, sz = (bx >> 3) - root_origin[0], (by >> 3) - root_origin[1], (bz >> 3) - root_origin[2]
     if sx < 0 or sy < 0 or sz < 0 or sx >= root.shape[0] or sy >= root.shape[1] or sz >= root.shape[2]:
@@ -29,7 +29,7 @@ def find_block(bx, by, bz, root_origin, root, supers):  # type: ignore[no-untype
 
 
 @kernel
-def find_cell(x, y, z, root_origin, root, supers):  # type: ignore[no-untyped-def]
+def find_cell(x, y, z, root_origin, root, supers):
     """Return the position of a cell in arrays of shape (blocks * 512,), or -1."""
     block = find_block(x >> 3, y >> 3, z >> 3, root_origin, root, supers)
     if block < 0:
@@ -38,14 +38,14 @@ def find_cell(x, y, z, root_origin, root, supers):  # type: ignore[no-untyped-de
 
 
 @kernel
-def locate_cells(cells, root_origin, root, supers, positions):  # type: ignore[no-untyped-def]
+def locate_cells(cells, root_origin, root, supers, positions):
     """Write the position of every cell (n, 3), or -1, into `positions` (n,) int64."""
     for i in range(cells.shape[0]):
         positions[i] = find_cell(cells[i, 0], cells[i, 1], cells[i, 2], root_origin, root, supers)
 
 
 @kernel
-def fill_slots(blocks, first_block, root_origin, root, supers, super_count):  # type: ignore[no-untyped-def]
+def fill_slots(blocks, first_block, root_origin, root, supers, super_count):
     """Enter new blocks (n, 3), numbered from `first_block`; return the number of superblocks."""
     for i in range(blocks.shape[0]):
         bx, by, bz = blocks[i, 0], blocks[i, 1], blocks[i, 2]
@@ -60,7 +60,7 @@ def fill_slots(blocks, first_block, root_origin, root, supers, super_count):  # 
 
 
 @kernel
-def gather_cells(flags, coords, cells, positions):  # type: ignore[no-untyped-def]
+def gather_cells(flags, coords, cells, positions):
     """List the cells whose flag (blocks, 512) is set; return their number.
 
     `cells` (n, 3) and `positions` (n,) are written up to their length, so a first call with empty

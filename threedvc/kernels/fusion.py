@@ -19,7 +19,7 @@ MAX_WINDOW = 64
 
 
 @kernel
-def project_point(x, y, z, camera):  # type: ignore[no-untyped-def]
+def project_point(x, y, z, camera):
     """Project a point in camera coordinates to distorted pixel coordinates (u, v)."""
     a, b = x / z, y / z
     r2 = a * a + b * b
@@ -30,7 +30,7 @@ def project_point(x, y, z, camera):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def sensor_sigma(z, sensor):  # type: ignore[no-untyped-def]
+def sensor_sigma(z, sensor):
     """Return the axial deviation in metres at depth z, see `threedvc.sensor_model`."""
     axial = sensor[0] + z * (sensor[1] + z * sensor[2])
     rounding = sensor[3] * z * z
@@ -38,7 +38,7 @@ def sensor_sigma(z, sensor):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, band_sigmas, keys):  # type: ignore[no-untyped-def]
+def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, band_sigmas, keys):
     """List blocks that measured surfaces may touch, as packed keys with few repetitions; return how many.
 
     A key is ``(x + 2^20) | (y + 2^20) << 21 | (z + 2^20) << 42`` of block coordinates; `keys` is int64
@@ -72,7 +72,7 @@ def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, 
 
 
 @kernel
-def visible_blocks(coords, count, voxel_size, T_camera_object, camera, width, height, far, numbers):  # type: ignore[no-untyped-def]
+def visible_blocks(coords, count, voxel_size, T_camera_object, camera, width, height, far, numbers):
     """List the numbers of blocks whose bounding sphere can be seen nearer than `far`; return how many."""
     found = 0
     radius = 8.0 * voxel_size * 0.8661
@@ -101,7 +101,7 @@ def visible_blocks(coords, count, voxel_size, T_camera_object, camera, width, he
 
 
 @kernel
-def ray_window_update(x, y, z, reading, sigma, T_object_camera, voxel_size, outlier, tables, log_odds, odds, likelihood):  # type: ignore[no-untyped-def]
+def ray_window_update(x, y, z, reading, sigma, T_object_camera, voxel_size, outlier, tables, log_odds, odds, likelihood):
     """Return the log-odds change of the cell at (x, y, z) in camera coordinates given a reading along its ray.
 
     The sum of eq. (6) runs over the cells of the ray from the cell itself, or the front end of the
@@ -133,7 +133,7 @@ def ray_window_update(x, y, z, reading, sigma, T_object_camera, voxel_size, outl
 
 
 @kernel
-def integrate_depth(  # type: ignore[no-untyped-def]
+def integrate_depth(
     numbers, start, stop, coords, voxel_size, T_camera_object, T_object_camera, camera, depth, mask,
     sensor, band_sigmas, free_log_odds, tables, log_odds, delta, distance, weight, first_seen, frame,
 ):  # fmt: skip
@@ -186,7 +186,7 @@ def integrate_depth(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def sample_image(level, u, v, channel):  # type: ignore[no-untyped-def]
+def sample_image(level, u, v, channel):
     """Sample an image (h, w, 3) bilinearly at (u, v), clamped at its border."""
     height, width = level.shape[0], level.shape[1]
     u = min(max(u, 0.0), width - 1.0)
@@ -200,7 +200,7 @@ def sample_image(level, u, v, channel):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fuse_color(  # type: ignore[no-untyped-def]
+def fuse_color(
     numbers, start, stop, coords, voxel_size, T_camera_object, T_color_depth, depth_camera, color_camera,
     depth, confidence, sensor, levels, color, weight,
 ):  # fmt: skip

@@ -14,7 +14,7 @@ MAX_BEFORE = 1e300
 
 
 @kernel
-def ray_update(log_odds, likelihood, none_likelihood, delta):  # type: ignore[no-untyped-def]
+def ray_update(log_odds, likelihood, none_likelihood, delta):
     """Write how far the log-odds of every cell of a ray move.
 
     The likelihood of eq. (6) marginalises over all configurations of the other cells, which matter
@@ -52,7 +52,7 @@ def ray_update(log_odds, likelihood, none_likelihood, delta):  # type: ignore[no
 
 
 @kernel
-def cell_update(log_odds, likelihood, none_likelihood, n, cell):  # type: ignore[no-untyped-def]
+def cell_update(log_odds, likelihood, none_likelihood, n, cell):
     """Return what `ray_update` writes for one cell, without the others.
 
     `log_odds` and `likelihood` are (m,) scratch arrays of which the first `n` entries count.

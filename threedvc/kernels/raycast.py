@@ -20,10 +20,11 @@ OPACITY = 0.3
 FAR = 1e9
 GRAZE = 0.6
 MAX_DISTANCE = 2.0
+PLANE_SCALE = 127.0
 
 
 @kernel
-def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far):  # type: ignore[no-untyped-def]
+def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far):
     """Widen the depth range of every tile of the slope plane by the blocks that it can see.
 
     Parameters
@@ -64,30 +65,35 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
 
 
 @kernel
-def surface_at(state, plane, base, x, y, z, dx, dy, dz, opacity):  # type: ignore[no-untyped-def]
+def surface_at(state, plane, base, x, y, z, dx, dy, dz, opacity):
     """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where too few cells count.
 
-    `state` (729,) and `plane` (729, 4) are those of a render block; (dx, dy, dz) is the direction of the ray.
+    `state` (729,) and `plane` (729, 4) are those of a render block; (dx, dy, dz) is the direction of the
+    ray. A corner without weight, as on a face of the cube, costs nothing.
     """
     total, mean = 0.0, 0.0
     for k in range(8):
         ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
         cell = base + ix + 9 * iy + 81 * iz
-        if state[cell]:
-            w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z)
-            nx, ny, nz, offset = plane[cell, 0] / 127.0, plane[cell, 1] / 127.0, plane[cell, 2] / 127.0, plane[cell, 3] / 64.0
-            if nx == 0.0 and ny == 0.0 and nz == 0.0:
-                nx, ny, nz, offset = -dx, -dy, -dz, 0.0
-            s = nx * (x - ix) + ny * (y - iy) + nz * (z - iz) - offset
-            if nx * dx + ny * dy + nz * dz > 0.0:
-                s = -s
-            total += w
-            mean += w * s
-    return mean / total if total > opacity else FAR
+        if not state[cell]:
+            continue
+        w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z)
+        if w <= 0.0:
+            continue
+        nx, ny, nz = np.float64(plane[cell, 0]), np.float64(plane[cell, 1]), np.float64(plane[cell, 2])
+        s = nx * (x - ix) + ny * (y - iy) + nz * (z - iz) - plane[cell, 3]
+        facing = nx * dx + ny * dy + nz * dz
+        if nx == 0.0 and ny == 0.0 and nz == 0.0:
+            s = -PLANE_SCALE * (dx * (x - ix) + dy * (y - iy) + dz * (z - iz))
+        elif facing > 0.0:
+            s = -s
+        total += w
+        mean += w * s
+    return mean / (total * PLANE_SCALE) if total > opacity else FAR
 
 
 @kernel
-def color_at(state, color, base, x, y, z, out):  # type: ignore[no-untyped-def]
+def color_at(state, color, base, x, y, z, out):
     """Write the weighted mean colour of the occupied cells around (x, y, z) into `out` (3,)."""
     total, r, g, b = 0.0, 0.0, 0.0, 0.0
     for k in range(8):
@@ -103,7 +109,7 @@ def color_at(state, color, base, x, y, z, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def next_crossing(o, d, i):  # type: ignore[no-untyped-def]
+def next_crossing(o, d, i):
     """Return the ray parameter at which coordinate ``o + t d`` leaves the unit interval at `i`."""
     if d > 0.0:
         return (i + 1 - o) / d
@@ -113,14 +119,13 @@ def next_crossing(o, d, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, norm, low, f_low, high, f_high, opacity):  # type: ignore[no-untyped-def]
-    """Find the sign change between `low` and `high` by three secant steps; FAR if too little is opaque there.
+def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity):
+    """Find the sign change between `low` and `high` by two secant steps; FAR if too little is opaque there.
 
-    (px, py, pz) is the ray's origin relative to the corner cell of the cube.
+    (px, py, pz) is the ray's origin relative to the corner cell of the cube, (ux, uy, uz) its unit direction.
     """
-    ux, uy, uz = dx / norm, dy / norm, dz / norm
     hit, f = low, FAR
-    for _ in range(3):
+    for _ in range(2):
         hit = low + (high - low) * f_low / (f_low - f_high)
         f = surface_at(state, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity)
         if f > 0.0:
@@ -131,15 +136,17 @@ def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, norm, low, f_low, hig
 
 
 @kernel
-def cast_in_block(  # type: ignore[no-untyped-def]
-    ox, oy, oz, dx, dy, dz, norm, t, t_end, block, near, state, plane, opacity, number, grazed, hit
+def cast_in_block(
+    px, py, pz, dx, dy, dz, norm, t, t_end, skip, state, plane, opacity, number, grazed, hit
 ):
     """Walk the cells of one render block from `t` to `t_end`; return whether the ray is stopped.
 
     Parameters
     ----------
-    block
-        (3,) first cell of the block. Directions are per unit of t, `norm` is their length in cells.
+    px, py, pz
+        Origin of the ray relative to the block, in cells; directions are per unit of t, of length `norm`.
+    skip
+        (512,) uint8: how many cells away the nearest cube with an occupied corner is.
     grazed
         (4,) float64, kept from block to block: parameter, distance, render block and cube of the
         nearest approach to a surface that the ray has not crossed; distance FAR: none. A ray that leaves
@@ -148,56 +155,66 @@ def cast_in_block(  # type: ignore[no-untyped-def]
         (3,) float64 output: parameter, render block and cube.
     """
     ux, uy, uz = dx / norm, dy / norm, dz / norm
-    px, py, pz = ox - block[0], oy - block[1], oz - block[2]
-    ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
-    iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
-    iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
+    leap = 1.0 / max(abs(dx), abs(dy), abs(dz))
     before = FAR
     while True:
+        ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
+        iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
+        iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
         tx, ty, tz = next_crossing(px, dx, ix), next_crossing(py, dy, iy), next_crossing(pz, dz, iz)
-        t_out = min(tx, ty, tz)
-        if near[ix + 8 * iy + 64 * iz]:
+        while skip[ix + 8 * iy + 64 * iz] == 0:
+            t_out = min(tx, ty, tz)
             base = ix + 9 * iy + 81 * iz
             ax, ay, az = px - ix, py - iy, pz - iz
             if before == FAR:
                 before = surface_at(state, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0)
-            after = surface_at(state, plane, base, ax + t_out * dx, ay + t_out * dy, az + t_out * dz, ux, uy, uz, 0.0)
+            x, y, z = ax + t_out * dx, ay + t_out * dy, az + t_out * dz
+            if t_out == tx:
+                x = 1.0 if dx > 0.0 else 0.0
+            elif t_out == ty:
+                y = 1.0 if dy > 0.0 else 0.0
+            else:
+                z = 1.0 if dz > 0.0 else 0.0
+            after = surface_at(state, plane, base, x, y, z, ux, uy, uz, 0.0)
             if after <= 0.0:
                 first = min(before, MAX_DISTANCE) if before > 0.0 else 0.0
+                start = t if before > 0.0 else t_out
                 at = refine_hit(
-                    state, plane, base, ax, ay, az, dx, dy, dz, norm, t if before > 0.0 else t_out, first, t_out, after, opacity
+                    state, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, start, first, t_out, after, opacity
                 )
                 if at < FAR:
                     hit[0], hit[1], hit[2] = at, number, base
                     return True
             elif after < grazed[1]:
                 grazed[0], grazed[1], grazed[2], grazed[3] = t_out, after, number, base
-            before = after
-        else:
-            before = FAR
-            if grazed[1] < GRAZE:
-                hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
-                return True
-            grazed[1] = FAR
-        t = t_out
+            before, t = after, t_out
+            if t_out == tx:
+                ix += 1 if dx > 0.0 else -1
+                tx = next_crossing(px, dx, ix)
+            elif t_out == ty:
+                iy += 1 if dy > 0.0 else -1
+                ty = next_crossing(py, dy, iy)
+            else:
+                iz += 1 if dz > 0.0 else -1
+                tz = next_crossing(pz, dz, iz)
+            if t >= t_end or min(ix, iy, iz) < 0 or max(ix, iy, iz) > 7:
+                return False
+        before = FAR
+        if grazed[1] < GRAZE:
+            hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
+            return True
+        grazed[1] = FAR
+        t = max(min(tx, ty, tz), t + (skip[ix + 8 * iy + 64 * iz] - 1) * leap) + 1e-9 * leap
         if t >= t_end:
-            return False
-        if t_out == tx:
-            ix += 1 if dx > 0.0 else -1
-        elif t_out == ty:
-            iy += 1 if dy > 0.0 else -1
-        else:
-            iz += 1 if dz > 0.0 else -1
-        if ix < 0 or iy < 0 or iz < 0 or ix > 7 or iy > 7 or iz > 7:
             return False
 
 
 @kernel
-def cast_rays(  # type: ignore[no-untyped-def]
-    rays, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, near, state, plane,
+def cast_rays(
+    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, skip, state, plane,
     colors, label, with_color, opacity, depth, color, labels,
 ):  # fmt: skip
-    """Cast rays ``start..stop`` into one object and keep what is nearer than `depth` already holds.
+    """Cast rays ``order[start:stop]`` into one object and keep what is nearer than `depth` already holds.
 
     Parameters
     ----------
@@ -205,16 +222,16 @@ def cast_rays(  # type: ignore[no-untyped-def]
         (n, 2) float64 slopes.
     T_cells_camera
         (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in metres.
-    tables, near, state, plane, colors
+    coords, tables, skip, state, plane, colors
         Render blocks and their index.
     depth, color, labels
         (n,) float32 metres, 0 = nothing; (n, 3) float32; (n,) uint8; updated.
     """
     root_origin, root, supers = tables
     T = T_cells_camera
-    block = np.empty(3, dtype=np.int64)
     grazed, hit = np.empty(4), np.empty(3)
-    for r in range(start, stop):
+    for n in range(start, stop):
+        r = order[n]
         sx, sy = rays[r, 0], rays[r, 1]
         column = min(max(np.int64((sx - tile_origin[0]) / tile_size[0]), 0), tile_near.shape[1] - 1)
         row = min(max(np.int64((sy - tile_origin[1]) / tile_size[1]), 0), tile_near.shape[0] - 1)
@@ -243,10 +260,9 @@ def cast_rays(  # type: ignore[no-untyped-def]
             )  # fmt: skip
             stopped = False
             if number >= 0:
-                block[0], block[1], block[2] = bx * 8, by * 8, bz * 8
                 stopped = cast_in_block(
-                    ox, oy, oz, dx, dy, dz, norm, at, leave, block, near[number], state[number], plane[number], opacity,
-                    number, grazed, hit,
+                    ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, norm, at, leave, skip[number], state[number],
+                    plane[number], opacity, number, grazed, hit,
                 )  # fmt: skip
             elif grazed[1] < GRAZE:
                 hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]

@@ -15,7 +15,7 @@ UNKNOWN = 1e9
 
 
 @kernel
-def interpolate(x, y, z, tables, distance, weight):  # type: ignore[no-untyped-def]
+def interpolate(x, y, z, tables, distance, weight):
     """Interpolate the signed distance at (x, y, z) in shifted cells; UNKNOWN unless all eight cells are known."""
     root_origin, root, supers = tables
     ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
@@ -32,7 +32,7 @@ def interpolate(x, y, z, tables, distance, weight):  # type: ignore[no-untyped-d
 
 
 @kernel
-def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight):  # type: ignore[no-untyped-def]
+def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight):
     """Return the depth at which a ray passes from the front of a known surface to its back, or 0."""
     root_origin, root, supers = tables
     norm = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -74,7 +74,7 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
 
 
 @kernel
-def cast_evidence(  # type: ignore[no-untyped-def]
+def cast_evidence(
     rays, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables, distance,
     weight, color, color_weight, depth, normal, intensity,
 ):  # fmt: skip

@@ -40,7 +40,9 @@ Doubles = NDArray[np.float64]
 
 
 @kernel
-def neighbour_step(depth: Floats, rays: Doubles, row: int, column: int, dr: int, dc: int, jump: float) -> tuple[float, float, float]:
+def neighbour_step(
+    depth: Floats, rays: Doubles, row: int, column: int, dr: int, dc: int, jump: float
+) -> tuple[float, float, float]:
     """Return the surface step from one pixel towards another, or zeros across a hole or an edge."""
     height, width = depth.shape
     r, c = row + dr, column + dc
@@ -55,7 +57,9 @@ def neighbour_step(depth: Floats, rays: Doubles, row: int, column: int, dr: int,
 
 
 @kernel
-def surface_normal(depth: Floats, rays: Doubles, row: int, column: int, reach: int, jump: float) -> tuple[float, float, float]:
+def surface_normal(
+    depth: Floats, rays: Doubles, row: int, column: int, reach: int, jump: float
+) -> tuple[float, float, float]:
     """Return the unit normal towards the camera at a pixel, or zeros where no surface can be told.
 
     Steps of `reach` pixels to both sides are added up where both exist, so that noise falls; at a hole
@@ -75,7 +79,9 @@ def surface_normal(depth: Floats, rays: Doubles, row: int, column: int, reach: i
 
 
 @kernel
-def estimate_normals(depth: Floats, rays: Doubles, reach: int, jump: float, normals: Floats, start: int, stop: int) -> None:
+def estimate_normals(
+    depth: Floats, rays: Doubles, reach: int, jump: float, normals: Floats, start: int, stop: int
+) -> None:
     """Write the normals (h, w, 3) of rows ``start..stop`` of a depth map; zeros where unknown."""
     for row in range(start, stop):
         for column in range(depth.shape[1]):

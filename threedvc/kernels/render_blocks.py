@@ -12,13 +12,13 @@ import numpy as np
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
 
-__all__ = ["build_block", "fit_plane", "fit_planes"]
+__all__ = ["build_block", "fit_plane", "fit_planes", "spread_distance"]
 
 REACH = 2
 
 
 @kernel
-def fit_plane(counts, moments, products, plane):  # type: ignore[no-untyped-def]
+def fit_plane(counts, moments, products, plane):
     """Fit a plane to weighted cells around a cell; write its normal and offset as int8.
 
     The normal is the eigenvector of the smallest eigenvalue of the covariance, found as the largest
@@ -32,7 +32,7 @@ def fit_plane(counts, moments, products, plane):  # type: ignore[no-untyped-def]
     moments, products
         Sums of weight times (x, y, z) and times (xx, yy, zz, xy, xz, yz), in cells from the cell's centre.
     plane
-        (4,) int8 output: normal * 127, offset of the plane from the centre along it * 64; all 0 where
+        (4,) int8 output: normal * 127, offset of the plane from the centre along it * 127; all 0 where
         the cells span no plane.
     """
     mx, my, mz = moments[0] / counts, moments[1] / counts, moments[2] / counts
@@ -63,11 +63,11 @@ def fit_plane(counts, moments, products, plane):  # type: ignore[no-untyped-def]
     plane[0] = np.int8(np.floor(nx * 127.0 + 0.5))
     plane[1] = np.int8(np.floor(ny * 127.0 + 0.5))
     plane[2] = np.int8(np.floor(nz * 127.0 + 0.5))
-    plane[3] = np.int8(np.floor(offset * 64.0 + 0.5))
+    plane[3] = np.int8(np.floor(offset * 127.0 + 0.5))
 
 
 @kernel
-def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):  # type: ignore[no-untyped-def]
+def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
     """Fit the planes of the occupied cells of blocks ``numbers[start:stop]`` into `planes` (blocks, 512, 4) int8.
 
     `weights` (5,) float64 weighs a cell by its distance along each axis.
@@ -112,15 +112,16 @@ def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
 
 
 @kernel
-def build_block(  # type: ignore[no-untyped-def]
-    targets, blocks, start, stop, tables, occupied, planes, color, near, cell_state, cell_plane, cell_color
+def build_block(
+    targets, blocks, start, stop, tables, occupied, planes, color, skip, cell_state, cell_plane, cell_color
 ):
     """Fill render blocks ``start..stop`` of the list `blocks` (n, 3) at places `targets` (n,).
 
     Parameters
     ----------
-    near
-        (render blocks, 512) uint8: any of the eight cells around the point between centres is occupied.
+    skip
+        (render blocks, 512) uint8: how many steps away, along any axis or diagonal, the nearest cube within the
+        block is that has an occupied cell at a corner; 8 where there is none.
     cell_state
         (render blocks, 729) uint8: occupied.
     cell_plane, cell_color
@@ -143,7 +144,24 @@ def build_block(  # type: ignore[no-untyped-def]
                 cell_color[t, i, k] = flat_color[cell, k] if here else 0
         for i in range(512):
             base = (i & 7) + 9 * ((i >> 3) & 7) + 81 * (i >> 6)
-            near[t, i] = 0
+            skip[t, i] = 8
             for k in range(8):
                 if cell_state[t, base + (k & 1) + 9 * ((k >> 1) & 1) + 81 * (k >> 2)]:
-                    near[t, i] = 1
+                    skip[t, i] = 0
+        spread_distance(skip[t])
+
+
+@kernel
+def spread_distance(skip):
+    """Turn 0 and 8 in a block (512,) into Chebyshev distances to the nearest 0, in two sweeps."""
+    for sweep in range(2):
+        for i in range(512):
+            cell = i if sweep == 0 else 511 - i
+            x, y, z = cell & 7, (cell >> 3) & 7, cell >> 6
+            for k in range(13):
+                dx, dy, dz = k % 3 - 1, k // 3 % 3 - 1, k // 9 - 1
+                if sweep:
+                    dx, dy, dz = -dx, -dy, -dz
+                nx, ny, nz = x + dx, y + dy, z + dz
+                if 0 <= nx < 8 and 0 <= ny < 8 and 0 <= nz < 8:
+                    skip[cell] = min(skip[cell], skip[nx + 8 * ny + 64 * nz] + 1)

@@ -10,7 +10,7 @@ __all__ = ["count_neighbours", "mark_surface"]
 
 
 @kernel
-def mark_surface(  # type: ignore[no-untyped-def]
+def mark_surface(
     start, stop, coords, tables, voxel_size, distance, weight, log_odds, min_weight, min_log_odds, surface
 ):
     """Mark the surface cells of blocks ``start..stop`` in `surface` (blocks, 512) uint8.
@@ -59,7 +59,7 @@ def mark_surface(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def count_neighbours(cells, positions, tables, flags, counts):  # type: ignore[no-untyped-def]
+def count_neighbours(cells, positions, tables, flags, counts):
     """Count the set cells among the 26 neighbours of every listed cell; `flags` is (blocks * 512,)."""
     root_origin, root, supers = tables
     for n in range(cells.shape[0]):

@@ -11,7 +11,7 @@ __all__ = ["block_entropies"]
 
 
 @kernel
-def block_entropies(numbers, start, stop, log_odds, color_weight, one_look, spread, entropies):  # type: ignore[no-untyped-def]
+def block_entropies(numbers, start, stop, log_odds, color_weight, one_look, spread, entropies):
     """Write the entropy in bits of blocks ``numbers[start:stop]`` into `entropies` (blocks,) float64.
 
     A cell has the entropy of its occupancy, and of its colour as far as it is occupied: eight bits a

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Write the golden streams of this version, and what every golden stream decodes to.
+
+Run by ``make golden`` alone. Streams of earlier versions are never written again. What they decode to is, because the
+renderer may change on purpose; their models may not, and the digest inside each stream holds that.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import threedvc
+from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode
+from threedvc.formats.api import DecodedFrame
+from threedvc.synthesis import SyntheticSequence, make_scene
+
+__all__ = ["FOLDER", "expectation", "main", "streams"]
+
+FOLDER = Path(__file__).parent
+FRAMES = 8
+
+MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
+CASES: dict[str, tuple[str, EncoderConfig]] = {
+    "paper": ("paper", EncoderConfig(voxel_size_m=0.02, group_frames=4)),
+    "objects": ("objects", EncoderConfig(voxel_size_m=0.02, segmentation=MASKS)),
+    "room": ("room", EncoderConfig(voxel_size_m=0.04)),
+    "room_live": ("room", EncoderConfig(voxel_size_m=0.04, causal=True, group_frames=3)),
+}
+
+
+def streams() -> list[Path]:
+    """Return the golden streams of all versions."""
+    return sorted(FOLDER.glob("*/*.3dvc"))
+
+
+def expectation(stream: Path) -> dict[str, Any]:
+    """Decode a stream and return what stays of it: its frames, and a hash of each kind of output."""
+    decoded = threedvc.open_stream(stream)
+    hashes = {kind: hashlib.sha256() for kind in ("color", "depth", "labels", "motion")}
+    for frame in decoded:
+        hashes["color"].update(frame.color.tobytes())
+        hashes["depth"].update(frame.depth.astype("<f4").tobytes())
+        hashes["labels"].update(frame.labels.tobytes())
+        hashes["motion"].update(b"".join(motion(frame)))
+    return {
+        "frames": decoded.decoder.frame_count,
+        "complete": decoded.decoder.complete,
+        **{kind: digest.hexdigest() for kind, digest in hashes.items()},
+    }
+
+
+def motion(frame: DecodedFrame) -> Iterator[bytes]:
+    """Yield the time and the poses of a frame."""
+    yield frame.timestamp_ns.to_bytes(8, "little")
+    for pose in (frame.T_world_camera, *(frame.T_camera_object[number] for number in sorted(frame.T_camera_object))):
+        yield pose.astype("<f8").tobytes()
+
+
+def main() -> None:
+    """Write everything."""
+    folder = FOLDER / threedvc.__version__
+    folder.mkdir(exist_ok=True)
+    for name, (scene, config) in CASES.items():
+        sequence = SyntheticSequence(make_scene(scene, frames=FRAMES, size=(64, 48)))
+        threedvc.encode(sequence, folder / f"{name}.3dvc", config, verify=True)
+    for stream in streams():
+        text = json.dumps(expectation(stream), indent=2)
+        stream.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+        print(f"{stream.relative_to(FOLDER)}: {stream.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()
