@@ -57,8 +57,9 @@ golden: $(READY) ## Write the golden streams anew; every release must still deco
 fuzz: $(READY) ## Feed damaged streams to the reader for longer than the tests do
 	THREEDVC_EXAMPLES=5000 $(BIN)/python -m pytest --quiet tests/fuzz tests/property
 
-bench: $(READY) ## Measure speed and memory, write benchmarks/SPEED.md
+bench: $(READY) ## Measure speed, memory and quality, write SPEED.md and RESULTS.md in benchmarks
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/sequences.py
 
 paper: $(READY) ## Repeat the experiment of the 1995 paper
 	$(BIN)/python benchmarks/paper_experiment.py build/paper

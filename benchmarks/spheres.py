@@ -125,7 +125,7 @@ def spheres_of_cells(
     learned = 2 * np.asarray(probability, dtype=np.float64) - 1
     shown = learned > 0
     return Spheres(
-        centres=(cells[shown] + 0.5) * voxel_size_m,
+        centres=(cells[shown].astype(np.float64) + 0.5) * voxel_size_m,
         radii=LARGEST_RADIUS_CELLS * voxel_size_m * np.cbrt(learned[shown]),
         colors=colors[shown].astype(np.float64),
     )
@@ -164,8 +164,8 @@ def _splat(spheres: Spheres, view: View) -> tuple[Floats, NDArray[np.int32]]:
     owner = np.full((view.height, view.width), -1, dtype=np.int32)
     for number, ((x, y, z), radius) in enumerate(zip(view.place(spheres.centres), spheres.radii, strict=True)):
         reach = radius * view.scale
-        left, right = max(0, int(x - reach)), min(view.width, int(x + reach) + 2)
-        top, bottom = max(0, int(y - reach)), min(view.height, int(y + reach) + 2)
+        left, right = _span(x, reach, view.width)
+        top, bottom = _span(y, reach, view.height)
         across = (np.arange(left, right) + 0.5 - x) / view.scale
         along = (np.arange(top, bottom) + 0.5 - y) / view.scale
         height = radius**2 - across**2 - along[:, None] ** 2
@@ -174,6 +174,11 @@ def _splat(spheres: Spheres, view: View) -> tuple[Floats, NDArray[np.int32]]:
         depth[top:bottom, left:right][nearer] = front[nearer]
         owner[top:bottom, left:right][nearer] = number
     return depth, owner
+
+
+def _span(middle: float, reach: float, limit: int) -> tuple[int, int]:
+    """Return the first pixel within reach of a place and the one after the last, inside a picture."""
+    return min(max(int(middle - reach), 0), limit), min(max(int(middle + reach) + 2, 0), limit)
 
 
 def _lit(spheres: Spheres, view: View, points: Floats) -> Floats:
@@ -207,7 +212,7 @@ def _shade(colors: Floats, normals: Floats, lit: Floats) -> Floats:
     ambient = AMBIENT * (0.8 - 0.2 * normals[:, 1])
     diffuse = ambient + KEY * lit * np.clip(normals @ key, 0, None) + FILL * np.clip(normals @ fill, 0, None)
     gloss = GLOSS * lit * np.clip(normals @ halfway, 0, None) ** SHINE
-    return np.clip(colors * diffuse[:, None] + gloss[:, None], 0, 255)
+    return np.asarray(np.clip(colors * diffuse[:, None] + gloss[:, None], 0, 255), dtype=np.float64)
 
 
 def _backdrop(view: View) -> NDArray[np.float32]:

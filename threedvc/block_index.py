@@ -19,6 +19,7 @@ BLOCK_SIDE = 8
 BLOCK_CELLS = BLOCK_SIDE**3
 CELL_LIMIT = 1 << 20
 ROOT_LIMIT = 1 << 24
+BLOCK_LIMIT = 1 << 18
 
 
 def morton_keys(cells: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -65,7 +66,7 @@ class BlockIndex:
         Raises
         ------
         LimitExceeded
-            If a block is out of range or the blocks lie too far apart.
+            If a block is out of range, the blocks lie too far apart, or there are too many.
         """
         if not len(blocks):
             return 0
@@ -75,6 +76,8 @@ class BlockIndex:
         new = blocks[self.locate(blocks * BLOCK_SIDE) < 0]
         if not len(new):
             return 0
+        if self.count + len(new) > BLOCK_LIMIT:
+            raise LimitExceeded(f"a model of more than {BLOCK_LIMIT} blocks of 8x8x8 cells is too large; use larger cells")
         new = new[np.argsort(morton_keys(new), kind="stable")]
         supers = np.unique(new >> 3, axis=0)
         self._cover(supers)

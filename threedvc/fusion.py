@@ -122,7 +122,7 @@ def fuse(
     parameters, noise = camera_parameters(seen.rig.depth), sensor.parameters()
     T_object_camera = inverse(T_camera_object)
     model.allocate(_touched_blocks(model, seen, mask, T_object_camera, noise, config))
-    numbers = _visible(model, seen, T_camera_object, parameters)
+    numbers = _visible(model, seen, T_camera_object, parameters, sensor, config)
     if not len(numbers):
         return numbers
     delta = np.empty((len(numbers), model.log_odds.shape[1]), dtype=np.float32)
@@ -168,11 +168,17 @@ def _touched_blocks(
 
 
 def _visible(
-    model: EvidenceModel, seen: Observation, T_camera_object: Pose, parameters: NDArray[np.float64]
+    model: EvidenceModel,
+    seen: Observation,
+    T_camera_object: Pose,
+    parameters: NDArray[np.float64],
+    sensor: SensorModel,
+    config: FusionConfig,
 ) -> NDArray[np.int64]:
     numbers = np.empty(model.index.count, dtype=np.int64)
     camera = seen.rig.depth
-    far = float(seen.depth.max(initial=0)) + 3 * model.voxel_size_m
+    furthest = float(seen.depth.max(initial=0))
+    far = furthest + max(config.band_sigmas * sensor.sigma_m(furthest), 3 * model.voxel_size_m)
     count = visible_blocks(
         model.index.coords, model.index.count, model.voxel_size_m, T_camera_object, parameters, camera.width,
         camera.height, far, numbers,

@@ -14,6 +14,7 @@ from threedvc.pose import Pose, inverse
 __all__ = ["RayGrid", "cells_from_camera"]
 
 TILES = 64
+PACKET_SIDE = 16
 
 
 class RayGrid:
@@ -32,8 +33,10 @@ class RayGrid:
         Number of rays along each side, and focal length in rays.
     slopes
         (n, 2) float64 undistorted slopes, row by row.
+    order
+        Numbers of all rays, packet by packet: neighbours meet the same blocks while these are at hand.
     sparse
-        Numbers of the rays at even rows and columns.
+        Those at even rows and columns.
     origin, size
         (2,) first corner and extent of a tile.
     """
@@ -41,8 +44,9 @@ class RayGrid:
     def __init__(self, camera: Camera, supersample: int = 1) -> None:
         fine = camera.resized(camera.width * supersample, camera.height * supersample) if supersample > 1 else camera
         self.width, self.height, self.fx = fine.width, fine.height, fine.fx
-        numbers = np.arange(fine.width * fine.height).reshape(fine.height, fine.width)
-        self.sparse = np.ascontiguousarray(numbers[::2, ::2]).ravel()
+        rows, columns = np.divmod(np.arange(fine.width * fine.height), fine.width)
+        self.order = np.lexsort((columns, rows, columns // PACKET_SIDE, rows // PACKET_SIDE))
+        self.sparse = self.order[(rows[self.order] | columns[self.order]) & 1 == 0]
         self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
         low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
         self.origin = low

@@ -197,7 +197,7 @@ class Renderer:
                 interpolate_between(start, stop, rays.width, rays.height, depth, color, labels, wanted)
 
             for_ranges(between, (rays.height + 1) // 2, self.config.threads)
-        rest = np.flatnonzero(wanted)
+        rest = rays.order[wanted[rays.order] != 0]
         for cast in casts:
             cast(rest)
         return depth, color, labels

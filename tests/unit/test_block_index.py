@@ -103,6 +103,16 @@ def test_blocks_too_far_apart_are_refused_before_memory_is_taken() -> None:
     assert np.all(index.locate(blocks_of((-FARTHEST, 0, 0), (FARTHEST, 0, 0)) * BLOCK_SIDE) >= 0)
 
 
+def test_too_many_blocks_are_refused() -> None:
+    index = BlockIndex()
+    index.insert(blocks_of((-1, -1, -1)))
+    side = np.arange(64, dtype=np.int32)
+    every = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
+    with pytest.raises(LimitExceeded, match="more than 262144 blocks of 8x8x8 cells is too large; use larger cells"):
+        index.insert(every)
+    assert index.count == 1
+
+
 def test_storage_of_a_sparse_room_stays_small() -> None:
     index = BlockIndex()
     x, y = np.mgrid[0:60, 0:60]

@@ -41,8 +41,8 @@ def sensor_sigma(z, sensor):
 def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, band_sigmas, keys):
     """List blocks that measured surfaces may touch, as packed keys with few repetitions; return how many.
 
-    A key is ``(x + 2^20) | (y + 2^20) << 21 | (z + 2^20) << 42`` of block coordinates; `keys` is int64
-    with room for ``5 * pixels`` entries.
+    A key is ``(x + 2^20) | (y + 2^20) << 21 | (z + 2^20) << 42`` of block coordinates, which are clamped to
+    +-2^20, far beyond what the index accepts; `keys` is int64 with room for ``5 * pixels`` entries.
     """
     count = 0
     size = voxel_size * 8.0
@@ -59,7 +59,8 @@ def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, 
                 for axis in range(3):
                     row = T_object_camera[axis]
                     place = row[0] * x + row[1] * y + row[2] * t + row[3]
-                    key |= (np.int64(np.floor(place / size)) + 1048576) << (21 * axis)
+                    block = min(max(np.floor(place / size), -1048576.0), 1048575.0)
+                    key |= (np.int64(block) + 1048576) << (21 * axis)
                 fresh = True
                 for back in range(1, min(count, 8) + 1):
                     if keys[count - back] == key:

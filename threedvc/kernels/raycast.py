@@ -119,6 +119,12 @@ def next_crossing(o, d, i):
 
 
 @kernel
+def away_from_zero(d):  # type: ignore[no-untyped-def]
+    """Return a component of a direction, or a tiny one in place of nothing, which could not be divided by."""
+    return d if abs(d) > 1e-9 else 1e-9
+
+
+@kernel
 def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity):
     """Find the sign change between `low` and `high` by two secant steps; FAR if too little is opaque there.
 
@@ -137,14 +143,14 @@ def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_lo
 
 @kernel
 def cast_in_block(
-    px, py, pz, dx, dy, dz, norm, t, t_end, skip, state, plane, opacity, number, grazed, hit
+    px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, state, plane, opacity, number, grazed, hit
 ):
     """Walk the cells of one render block from `t` to `t_end`; return whether the ray is stopped.
 
     Parameters
     ----------
     px, py, pz
-        Origin of the ray relative to the block, in cells; directions are per unit of t, of length `norm`.
+        Origin of the ray relative to the block, in cells; directions, none of them 0, are per unit of t.
     skip
         (512,) uint8: how many cells away the nearest cube with an occupied corner is.
     grazed
@@ -154,14 +160,17 @@ def cast_in_block(
     hit
         (3,) float64 output: parameter, render block and cube.
     """
-    ux, uy, uz = dx / norm, dy / norm, dz / norm
-    leap = 1.0 / max(abs(dx), abs(dy), abs(dz))
+    norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    ux, uy, uz = dx * norm, dy * norm, dz * norm
+    leap = min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
+    step_x, step_y, step_z = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1, 1 if dz > 0.0 else -1
+    qx, qy, qz = (px if dx <= 0.0 else px - 1.0), (py if dy <= 0.0 else py - 1.0), (pz if dz <= 0.0 else pz - 1.0)
     before = FAR
     while True:
         ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
         iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
         iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
-        tx, ty, tz = next_crossing(px, dx, ix), next_crossing(py, dy, iy), next_crossing(pz, dz, iz)
+        tx, ty, tz = (ix - qx) * inverse_x, (iy - qy) * inverse_y, (iz - qz) * inverse_z
         while skip[ix + 8 * iy + 64 * iz] == 0:
             t_out = min(tx, ty, tz)
             base = ix + 9 * iy + 81 * iz
@@ -189,14 +198,14 @@ def cast_in_block(
                 grazed[0], grazed[1], grazed[2], grazed[3] = t_out, after, number, base
             before, t = after, t_out
             if t_out == tx:
-                ix += 1 if dx > 0.0 else -1
-                tx = next_crossing(px, dx, ix)
+                ix += step_x
+                tx = (ix - qx) * inverse_x
             elif t_out == ty:
-                iy += 1 if dy > 0.0 else -1
-                ty = next_crossing(py, dy, iy)
+                iy += step_y
+                ty = (iy - qy) * inverse_y
             else:
-                iz += 1 if dz > 0.0 else -1
-                tz = next_crossing(pz, dz, iz)
+                iz += step_z
+                tz = (iz - qz) * inverse_z
             if t >= t_end or min(ix, iy, iz) < 0 or max(ix, iy, iz) > 7:
                 return False
         before = FAR
@@ -242,8 +251,9 @@ def cast_rays(
         dx = T[0, 0] * sx + T[0, 1] * sy + T[0, 2]
         dy = T[1, 0] * sx + T[1, 1] * sy + T[1, 2]
         dz = T[2, 0] * sx + T[2, 1] * sy + T[2, 2]
-        norm = np.sqrt(dx * dx + dy * dy + dz * dz)
-        nudge = 1e-6 / norm
+        dx, dy, dz = away_from_zero(dx), away_from_zero(dy), away_from_zero(dz)
+        inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        nudge = 1e-6 * min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
         grazed[1] = FAR
         while t < t_far:
             at = t + nudge
@@ -251,18 +261,17 @@ def cast_rays(
             by = np.int64(np.floor((oy + at * dy) / 8.0))
             bz = np.int64(np.floor((oz + at * dz) / 8.0))
             number = find_block(bx, by, bz, root_origin, root, supers)
-            shift = 6 if number == -2 else 3
-            size = 64.0 if number == -2 else 8.0
-            kx, ky, kz = (bx * 8) >> shift, (by * 8) >> shift, (bz * 8) >> shift
+            size, shift = (64.0, 3) if number == -2 else (8.0, 0)
             leave = min(
-                next_crossing(ox / size, dx / size, kx), next_crossing(oy / size, dy / size, ky),
-                next_crossing(oz / size, dz / size, kz),
-            )  # fmt: skip
+                (((bx >> shift) + (dx > 0.0)) * size - ox) * inverse_x,
+                (((by >> shift) + (dy > 0.0)) * size - oy) * inverse_y,
+                (((bz >> shift) + (dz > 0.0)) * size - oz) * inverse_z,
+            )
             stopped = False
             if number >= 0:
                 stopped = cast_in_block(
-                    ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, norm, at, leave, skip[number], state[number],
-                    plane[number], opacity, number, grazed, hit,
+                    ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, inverse_x, inverse_y, inverse_z, at, leave,
+                    skip[number], state[number], plane[number], opacity, number, grazed, hit,
                 )  # fmt: skip
             elif grazed[1] < GRAZE:
                 hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
