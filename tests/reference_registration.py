@@ -156,7 +156,7 @@ def normal_equations(
     luma = np.column_stack([np.cross(arms, rows[:, 7:10]), rows[:, 7:10], -level, -np.ones(len(rows))])
     residuals = np.concatenate([rows[:, 6], rows[:, 10] - exposure[0] * level - exposure[1]])
     deviations = np.concatenate([scales[0] * sigmas, np.full(len(rows), scales[1])])
-    factors = np.repeat([1.0, scales[2]], len(rows))
+    factors = np.repeat(scales[2:], len(rows))
     inside = np.nan_to_num(np.clip(1 - (residuals / (bound * deviations)) ** 2, 0, 1), nan=0.0)
     weights = factors * inside**2 / deviations**2
     used = weights > 0

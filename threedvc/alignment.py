@@ -48,6 +48,7 @@ NORMAL_REACH_PARTS = 160
 MAX_JUMP = 0.04
 MAD_TO_SIGMA = 1.4826
 MIN_DEPTH_SCALE = 0.5
+MAX_DEPTH_SCALE = 1.0
 GATE_SIGMAS = 6.0
 TUKEY_BOUND = 4.685
 STRONG_SLOPE = 32.0
@@ -262,9 +263,10 @@ class Alignment:
             exposure = np.array([1.0, _median(luma - level, kernels.LUMA_CENTRE)])
         depth_scale = MAD_TO_SIGMA * _median(np.abs(rows[some, 6]) / samples.sigma[some], 1.0)
         luma_scale = MAD_TO_SIGMA * _median(np.abs(luma - exposure[0] * level - exposure[1]), 0.0)
-        scales = np.array(
-            [max(depth_scale, MIN_DEPTH_SCALE), max(luma_scale, self.config.luma_noise), self.config.luma_weight]
-        )
+        depth_scale, luma_scale = max(depth_scale, MIN_DEPTH_SCALE), max(luma_scale, self.config.luma_noise)
+        # Depth that fits badly must not hand the pose over to luma, or the misfit would grow.
+        depth_weight = max(1.0, depth_scale / MAX_DEPTH_SCALE) ** 2
+        scales = np.array([depth_scale, luma_scale, depth_weight, self.config.luma_weight])
         return _Fit(rows, states, scales, exposure)
 
     def _normal_equations(self, fit: _Fit, samples: _Samples, centre: Doubles) -> tuple[Doubles, Doubles]:
@@ -294,7 +296,7 @@ class Alignment:
         by_luma = unit[:, None] * (luma[:6, :6] - luma[:6, 6:8] @ coupling[:, :6]) * unit
         slope = unit * (depth[:6, 8] + luma[:6, 8] - luma[:6, 6:8] @ coupling[:, 6])
         pixel = 0.5**level * self.camera.fx / max(centre[2], 1e-6)
-        full_luma = np.count_nonzero(fit.states == kernels.FITTING) * fit.scales[2] / fit.scales[1] ** 2
+        full_luma = np.count_nonzero(fit.states == kernels.FITTING) * fit.scales[3] / fit.scales[1] ** 2
         quality = by_depth / max(float(np.linalg.eigvalsh(by_depth)[-1]), 1e-12)
         quality += by_luma / max(full_luma * (STRONG_SLOPE * pixel) ** 2, 1e-12)
         grades, directions = np.linalg.eigh(quality)
@@ -404,5 +406,5 @@ def _tukey_cost(residuals: Doubles) -> Doubles:
 def _costs(fit: _Fit, samples: _Samples, scales: Doubles) -> Doubles:
     """Return the robust cost of every sample, NaN where it does not meet the surface."""
     luma = np.nan_to_num(_tukey_cost(_luma_residuals(fit, samples) / scales[1]), nan=0.0)
-    cost: Doubles = _tukey_cost(fit.rows[:, 6] / (scales[0] * samples.sigma)) + scales[2] * luma
+    cost: Doubles = scales[2] * _tukey_cost(fit.rows[:, 6] / (scales[0] * samples.sigma)) + scales[3] * luma
     return cost

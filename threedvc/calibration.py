@@ -30,6 +30,8 @@ MIN_SIGHTS = 4
 MIN_POINTS = 300
 MIN_GAIN = 0.1
 MIN_DISPLACEMENT_PX = 1.0
+MIN_TRAVEL = 0.05
+MAX_SPREADS = 4.0
 AGREEMENT = 0.015
 OUTLIER_LEVELS = 40.0
 SPREAD = np.array([0.1, 0.1, 0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
@@ -80,19 +82,31 @@ def calibrate(rig: CameraRig, sightings: Sequence[Sighting]) -> CameraRig | None
     Returns
     -------
     CameraRig or None
-        None where there is too little to go by, where the lumas agree less than 10 % better than with `rig`,
-        or where no point moves by a pixel.
+        None where there is too little to go by, as before a camera at rest; where the lumas agree less
+        than 10 % better than with `rig`; where points move by less than a pixel; or where the change is
+        implausible.
     """
-    if len(sightings) < MIN_SIGHTS or np.count_nonzero(sum(s.seen.astype(int) for s in sightings) >= MIN_SIGHTS) < MIN_POINTS:
+    if len(sightings) < MIN_SIGHTS or _travel(sightings) < MIN_TRAVEL or np.count_nonzero(sum(s.seen.astype(int) for s in sightings) >= MIN_SIGHTS) < MIN_POINTS:
         return None
     found = np.zeros(len(SPREAD))
     for blur in BLURS_PX:
         pictures = [cv2.GaussianBlur(s.luma, (0, 0), blur) for s in sightings]
         found = _refined(found, rig, sightings, pictures)
     before, after = _disagreement(np.zeros_like(found), found, rig, sightings, pictures)
+    if np.any(np.abs(found) > MAX_SPREADS * SPREAD):
+        return None
     better = _changed(rig, found)
     matters = max(_displacement(rig, better, s) for s in sightings) >= MIN_DISPLACEMENT_PX
     return better if matters and after < (1 - MIN_GAIN) * before else None
+
+
+def _travel(sightings: Sequence[Sighting]) -> float:
+    """Return how far points wander over the picture, as slopes; a camera at rest tells nothing."""
+    slopes = np.array([np.where(s.seen[:, None], s.points[:, :2] / s.points[:, 2:], np.nan) for s in sightings])
+    often = np.count_nonzero(np.isfinite(slopes[..., 0]), axis=0) >= MIN_SIGHTS
+    if not often.any():
+        return 0.0
+    return float(np.median(np.nanstd(slopes[:, often], axis=0)))
 
 
 def _displacement(rig: CameraRig, other: CameraRig, seen: Sighting) -> float:
@@ -185,8 +199,15 @@ def _refined(
 def _disagreement(
     a: Doubles, b: Doubles, rig: CameraRig, sightings: Sequence[Sighting], pictures: Sequence[NDArray[np.float32]]
 ) -> tuple[float, float]:
-    """Return the robust RMS of luma differences of two changes, over what both of them see."""
+    """Return how far the lumas of one point scatter against those of all, for two changes, where both see.
+
+    The scatter alone would prefer whatever looks at the least texture.
+    """
     lumas = [_lumas(change, rig, sightings, pictures) for change in (a, b)]
     used = _used(*lumas)
-    squares = [np.minimum(_centred(luma, used)[used] ** 2, OUTLIER_LEVELS**2) for luma in lumas]
-    return float(np.sqrt(squares[0].mean())), float(np.sqrt(squares[1].mean()))
+    ratios = []
+    for luma in lumas:
+        within = np.minimum(_centred(luma, used)[used] ** 2, OUTLIER_LEVELS**2)
+        among = np.var(luma[used])
+        ratios.append(float(np.sqrt(within.mean() / max(among, 1.0))))
+    return ratios[0], ratios[1]

@@ -52,7 +52,7 @@ class _Sent:
         self.item = item
         self.model = DecodedModel(item.evidence.voxel_size_m)
         self.coder = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
-        self.pose: Pose = np.eye(4)
+        self.given: Pose | None = None
         self.next_coded: int | None = None
         self.final: Surface | None = None
 
@@ -75,7 +75,6 @@ class Emitter:
             luma_step=config.color.luma_step, chroma_step=config.color.chroma_step, grey=scene.info.grey
         )
         self._clock = _clock(scene.info)
-        self._world: list[Pose] = []
         self._batched = 0
 
     @property
@@ -130,8 +129,6 @@ class Emitter:
         item = self._scene.objects[number]
         if number not in self._sent:
             if item.born is None or item.born >= stop:
-                if number == 0:
-                    self._world = [np.eye(4)] * (stop - first)
                 return
             self._sent[number] = _Sent(item, self._config)
             yield ObjectHeader(object_id=number, voxel_size_m=item.evidence.voxel_size_m).packet()
@@ -152,28 +149,27 @@ class Emitter:
 
     def _poses(self, sent: _Sent, first: int, stop: int) -> Iterator[Packet]:
         """Yield a packet for every run of frames in which the object moves."""
-        script = [self._script(sent.item, pose, frame) for frame, pose in enumerate(sent.item.poses[first:stop])]
-        decoded: list[Pose] = []
+        script = self._script(sent.item, first, stop)
         for start, end in _runs(self._moving(sent, script)):
             if sent.next_coded != first + start:
                 sent.coder.hold()
             payload = sent.coder.encode(script[start:end])
-            sent.next_coded = first + end
-            decoded += [sent.pose] * (start - len(decoded)) + list(sent.coder.decoded)
-            sent.pose = decoded[-1]
+            sent.given, sent.next_coded = script[end - 1], first + end
             yield PoseHeader(object_id=sent.item.number, frame=first + start, count=end - start).packet(payload)
-        if sent.item.number == 0:
-            self._world = decoded + [sent.pose] * (stop - first - len(decoded))
 
-    def _script(self, item: SceneObject, pose: Pose, frame: int) -> Pose:
-        """Return what the stream carries for a pose in a frame of the group: the background's stands for itself."""
-        return compose(inverse(self._world[frame]), pose) if item.number else pose
+    def _script(self, item: SceneObject, first: int, stop: int) -> list[Pose]:
+        """Return the poses that the stream carries: the background's before the camera, others' in the background."""
+        poses = item.poses[first:stop]
+        if not item.number:
+            return poses
+        world = self._scene.objects[0].poses[first:stop]
+        return [compose(inverse(T_camera_world), pose) for T_camera_world, pose in zip(world, poses, strict=True)]
 
     def _moving(self, sent: _Sent, script: Sequence[Pose]) -> list[bool]:
-        """Tell in which frames an object's pose differs from the one before by a quantisation step."""
+        """Tell in which frames an object's pose differs from the one last sent by a quantisation step."""
         steps = self._config.pose
         moving: list[bool] = []
-        last: Pose | None = None
+        last = sent.given
         for pose in script:
             if last is None:
                 still = sent.coder.repeats(pose)

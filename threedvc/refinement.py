@@ -27,8 +27,12 @@ CALIBRATION_POINTS = 5000
 
 
 def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
-    """Calibrate the colour camera on the largest object; None where the present rig is as good."""
-    item = max(scene.objects.values(), key=lambda item: item.evidence.index.count)
+    """Calibrate the colour camera on the background; None where the present rig is as good.
+
+    Objects that move before a camera at rest change their shade as they turn, which would be taken for
+    a wrong camera.
+    """
+    item = scene.objects[0]
     surface = read_surface(item.evidence, scene.config.threads)
     points = (surface.cells + 0.5) * item.evidence.voxel_size_m
     chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]

@@ -480,7 +480,7 @@ class TestKernels:
         rows[rng.random(count) < 0.2, 6] = np.nan
         rows[rng.random(count) < 0.2, 10] = np.nan
         sigmas, centre = rng.uniform(0.001, 0.003, count), np.array([0.1, -0.2, 1.0])
-        exposure, scales = np.array([1.1, 120.0]), np.array([1.3, 8.0, 0.7])
+        exposure, scales = np.array([1.1, 120.0]), np.array([1.3, 8.0, 1.7, 0.7])
         chunks = -(-count // chunk)
         sums = np.empty((chunks, 2, kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
         given = rows, lumas, sigmas, centre, exposure, scales, 4.685

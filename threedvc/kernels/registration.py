@@ -292,7 +292,7 @@ def accumulate_normal_equations(
     exposure
         Gain and offset: the view's luma is expected to be ``gain * (luma - 128) + offset``.
     scales
-        Standard deviations of a depth residual in sigmas and of a luma residual, and the weight of luma.
+        Standard deviations of a depth residual in sigmas and of a luma residual, and the weights of both.
     bound
         Tukey's bound in those standard deviations.
     chunk
@@ -307,13 +307,12 @@ def accumulate_normal_equations(
         for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
             for term in range(2):
                 residual = rows[i, 6]
-                deviation = scales[0] * sigmas[i]
-                factor, first = 1.0, 3
+                deviation, factor, first = scales[0] * sigmas[i], scales[2], 3
                 equation[6], equation[7] = 0.0, 0.0
                 if term == 1:
                     level = lumas[i] - LUMA_CENTRE
                     residual = rows[i, 10] - exposure[0] * level - exposure[1]
-                    deviation, factor, first = scales[1], scales[2], 7
+                    deviation, factor, first = scales[1], scales[3], 7
                     equation[6], equation[7] = -level, -1.0
                 weight = factor * biweight(residual, bound * deviation) / (deviation * deviation)
                 if weight == 0.0:
