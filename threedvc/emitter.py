@@ -46,11 +46,12 @@ MAX_REST = MAX_COUNT // 2
 
 
 class _Sent:
-    """What the decoder has of one object."""
+    """What the decoder has of one object, and what it would have if colours were not quantised."""
 
     def __init__(self, item: SceneObject, config: EncoderConfig) -> None:
         self.item = item
         self.model = DecodedModel(item.evidence.voxel_size_m)
+        self.wanted = DecodedModel(item.evidence.voxel_size_m)
         self.coder = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
         self.given: Pose | None = None
         self.next_coded: int | None = None
@@ -137,12 +138,13 @@ class Emitter:
         if not update.empty:
             payload, decoded = encode_update_with_result(update, *sent.model.cells(), self._color)
             sent.model.apply(decoded)
+            sent.wanted.apply(update)
             yield ModelHeader(object_id=number, frame=first).packet(payload)
         yield from self._poses(sent, first, stop)
 
     def _update(self, sent: _Sent, until_frame: int | None) -> ModelUpdate:
         if self._config.causal:
-            return changes(sent.item.evidence, sent.model, self._config.threads)
+            return changes(sent.item.evidence, sent.wanted, self._config.threads)
         if sent.final is None:
             sent.final = read_surface(sent.item.evidence, self._config.threads)
         return first_sights(sent.final, sent.model, until_frame)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
-from threedvc.errors import ConfigError
-from threedvc.pose import Pose
+from threedvc.errors import ConfigError, SequenceError
+from threedvc.pose import Pose, is_rigid
 
-__all__ = ["NANOSECONDS", "Frame", "FrameSequence", "SequenceInfo"]
+__all__ = ["NANOSECONDS", "Frame", "FrameSequence", "SequenceInfo", "check_frame"]
 
 NANOSECONDS = 1_000_000_000
 
@@ -90,6 +90,31 @@ class SequenceInfo:
             raise ConfigError(f"depth scale {self.depth_scale} must be a positive number of units per metre")
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise ConfigError(f"frame rate {self.fps} must be a positive number of frames per second")
+
+
+def check_frame(frame: Frame, info: SequenceInfo) -> None:
+    """Check that pictures have the sizes of their cameras, and that poses are rigid.
+
+    Raises
+    ------
+    SequenceError
+        Naming the frame, if one is not so.
+    """
+    place = f"{info.name}: frame {frame.index}"
+    for name, picture, channels, camera in (
+        ("colour", frame.color, (3,), info.rig.color),
+        ("depth", frame.depth, (), info.rig.depth),
+    ):
+        if picture.shape != (camera.height, camera.width, *channels):
+            raise SequenceError(
+                f"{place} has {name} of shape {picture.shape}, its camera asks for"
+                f" {(camera.height, camera.width, *channels)}; give frames and intrinsics of one size"
+            )
+    if frame.T_world_camera is not None and not is_rigid(frame.T_world_camera):
+        raise SequenceError(f"{place} has a camera pose that is not a rigid transform; correct it or use --motion track")
+    for number, pose in frame.T_camera_object.items():
+        if not is_rigid(pose):
+            raise SequenceError(f"{place} has a pose of object {number} that is not a rigid transform; correct it")
 
 
 class FrameSequence(Protocol):

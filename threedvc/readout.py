@@ -94,7 +94,8 @@ def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpda
 
     A cell appears when its log-odds are confident and no cell within one cell of it was sent (noise makes
     the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour when the
-    mean has moved by more than 16 levels.
+    mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the decoded
+    ones a cell would be sent again for its quantisation error.
     """
     surface = read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS)
     known = _is_sent(sent, surface.cells)

@@ -41,7 +41,7 @@ def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
     for frame in range(0, len(frames), step):
         at = item.found[frame]
         if at is not None and at.usable:
-            sightings.append(sighting(points[chosen], frames[frame], at.T_camera_object, scene.info.rig.depth))
+            sightings.append(sighting(points[chosen], scene.limited(frames[frame]), at.T_camera_object, scene.info.rig.depth))
     return calibrate(scene.info.rig, sightings)
 
 
@@ -50,7 +50,7 @@ def refined_script(
 ) -> dict[int, list[Located | None]]:
     """Register every object in every frame once more; one that rests in the script goes on resting."""
     script: dict[int, list[Located | None]] = {number: [] for number in scene.objects}
-    for frame in frames:
+    for frame in map(scene.limited, frames):
         labels = segment(frame, scene.config.segmentation, scene.info)
         luma = scene.thinned.luma(frame)
         for number, item in scene.objects.items():
@@ -75,6 +75,6 @@ def _refined(
         previous = item.found[frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):
             return replace(at, T_camera_object=before[-1].T_camera_object)
-    if item.number == 0 and scene.background_rests:
+    if scene.is_given(item, at):
         return at
     return refined(at, frame, mask, luma, item.evidence, scene.thinned, scene.sensor, scene.config.threads)

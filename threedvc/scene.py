@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from threedvc.config import EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.evidence_view import Thinned
-from threedvc.frame import Frame, SequenceInfo
+from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.motion import Located, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
@@ -23,6 +23,7 @@ from threedvc.uncertainty import EntropyMeter
 __all__ = ["Scene", "SceneObject", "default_voxel_size"]
 
 MIN_PIXELS = 30
+MAX_DEPTH_M = 1e4
 PIXELS_PER_CELL = 4.0
 MIN_PIXELS_PER_CELL = 1.6
 REFERENCE_PIXELS = 640 * 480
@@ -51,6 +52,8 @@ class SceneObject:
         Its model.
     found
         Where it was found in every frame so far; None where it was not.
+    poses
+        T_camera_object of every frame so far: an unseen object keeps its last pose, at first its first one.
     born
         First frame in which it was found.
     """
@@ -61,16 +64,8 @@ class SceneObject:
         self.tracker = tracker
         self.entropy = EntropyMeter(self.evidence)
         self.found: list[Located | None] = []
+        self.poses: list[Pose] = []
         self.born: int | None = None
-
-    @property
-    def poses(self) -> list[Pose]:
-        """T_camera_object of every frame: an unseen object keeps its last pose, at first its first one."""
-        first = next((at.T_camera_object for at in self.found if at is not None), identity())
-        script = [first]
-        for at in self.found:
-            script.append(script[-1] if at is None else at.T_camera_object)
-        return script[1:]
 
     def locate(self, frame: Frame, mask: NDArray[np.bool_], luma: NDArray[np.float32] | None, alone: bool) -> Located | None:
         """Find the object in a frame; None where it is not seen and its pose is not known."""
@@ -87,6 +82,10 @@ class SceneObject:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
         if at is not None and self.born is None:
             self.born = frame
+            self.poses = [at.T_camera_object] * frame
+        last = self.poses[-1] if self.poses else identity()
+        self.poses += [last] * (frame - len(self.poses))
+        self.poses.append(last if at is None else at.T_camera_object)
         self.found += [None] * (frame - len(self.found))
         self.found.append(at)
 
@@ -121,8 +120,15 @@ class Scene:
         return sum(item.entropy.bits for item in self.objects.values())
 
     def add(self, frame: Frame) -> str:
-        """Take in one frame: segment, locate, fuse. Return the worst status of its objects."""
-        frame = self._limited(frame)
+        """Take in one frame: segment, locate, fuse. Return the worst status of its objects.
+
+        Raises
+        ------
+        SequenceError
+            If the frame does not fit the sequence.
+        """
+        check_frame(frame, self.info)
+        frame = self.limited(frame)
         labels = segment(frame, self.config.segmentation, self.info)
         seen = observe(frame, self.info.rig, self._rays)
         if self._sensor is None:
@@ -155,20 +161,22 @@ class Scene:
         """Noise of the depth: the one asked for, or guessed from the first frame."""
         return self._sensor or SENSORS[Sensor.KINECT1]
 
-    @property
-    def background_rests(self) -> bool:
-        """Whether the background stands still before the camera: by definition, or as the poses say."""
-        return not self.info.has_camera_poses and (self._one_object or self.config.motion is not Motion.TRACK)
+    def is_given(self, item: SceneObject, at: Located) -> bool:
+        """Tell whether a pose is to be taken as it is.
+
+        Poses of a hand-held camera come from tracking and are worth refining. Those of labelled objects are
+        made on purpose, and a background without camera poses stands still.
+        """
+        return at.status == "known" and (item.number > 0 or not self.info.has_camera_poses)
 
     @property
     def _one_object(self) -> bool:
         return self.config.segmentation.mode is SegmentationMode.DEPTH
 
-    def _limited(self, frame: Frame) -> Frame:
-        limit = self.config.max_depth_m
-        if limit is None:
-            return frame
-        return replace(frame, depth=np.where(frame.depth <= limit, frame.depth, np.float32(0)))
+    def limited(self, frame: Frame) -> Frame:
+        """Return a frame without measurements beyond the largest depth, and without what is no number."""
+        limit = self.config.max_depth_m or MAX_DEPTH_M
+        return replace(frame, depth=np.where((frame.depth > 0) & (frame.depth <= limit), frame.depth, np.float32(0)))
 
     def _object(self, number: int, frame: Frame, mask: NDArray[np.bool_], sensor: SensorModel) -> SceneObject | None:
         """Return an object, new where enough pixels show it for the first time."""

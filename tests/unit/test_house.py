@@ -93,6 +93,14 @@ class TestPackaging:
         changelog = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
         assert f"## {threedvc.__version__}" in changelog
 
+    def test_makefile_names_files_that_exist(self) -> None:
+        makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+        listed = re.search(r"test_%\.py, ((?:.*\\\n)*.*)\)", makefile)
+        assert listed is not None
+        named = re.findall(r"(?:benchmarks|docs|tests)/[\w/]+\.py", makefile)
+        named += [f"tests/unit/test_{name}.py" for name in listed[1].replace("\\", " ").split()]
+        assert [name for name in named if not (REPOSITORY / name).is_file()] == []
+
     def test_constraints_pin_every_dependency(self) -> None:
         project = PYPROJECT["project"]
         lists = [project["dependencies"], *project["optional-dependencies"].values()]

@@ -6,12 +6,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.kernels.geometry_prior import CENTER, Surroundings
 from threedvc.kernels.octree import BIT_COUNTS, Level, expand_children, find_neighbors, group_children
 
-__all__ = ["Neighborhood", "Octree", "children_of", "empty_level"]
+__all__ = ["Neighborhood", "Octree", "TreeWalk", "children_of"]
+
+ALL_CHILDREN = 255
 
 
-def empty_level(count: int = 0) -> Level:
+def _empty_level(count: int = 0) -> Level:
     """Return a level with room for `count` nodes."""
     return Level(
         np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint8), np.zeros(count, dtype=np.int32)
@@ -41,7 +44,7 @@ class Octree:
         self.codes = codes
         self.levels: list[Level] = []
         for _ in range(depth):
-            level = empty_level(len(codes))
+            level = _empty_level(len(codes))
             count = group_children(codes, level)
             level = Level(*(array[:count].copy() for array in level))
             self.levels.insert(0, level)
@@ -67,3 +70,65 @@ class Neighborhood:
         child_near = np.empty((count, 27), dtype=np.int32)
         find_neighbors(level, self.near, target, child_near)
         self.near = child_near
+
+
+class TreeWalk:
+    """Goes down a tree whose masks become known level by level, and tells what is known before each level.
+
+    Parameters
+    ----------
+    side
+        Another tree of the same cube, known to both sides.
+    superset
+        Tree of the only cells there may be; None: all but those of `side`.
+
+    Attributes
+    ----------
+    height
+        Levels left below the children of the nodes at hand.
+    codes
+        (n,) Morton codes of the nodes at hand; of the cells, when the walk is over.
+    """
+
+    def __init__(self, side: Octree, superset: Octree | None = None) -> None:
+        self.codes = np.zeros(1, dtype=np.int64)
+        self.height = len(side.levels) - 1
+        self._side, self._superset = side, superset
+        self._own, self._beside = Neighborhood(True), Neighborhood(len(side.codes) > 0)
+        self._inside = Neighborhood(superset is not None)
+        self._parent_masks = np.zeros(1, dtype=np.uint8)
+
+    def surroundings(self) -> Surroundings:
+        """Return what is known about the nodes at hand."""
+        return Surroundings(
+            near=self._own.near,
+            parent_masks=self._parent_masks,
+            octants=(self.codes & 7).astype(np.uint8),
+            allowed=self._allowed(),
+            side_masks=self._level_of(self._side).masks,
+            side_near=self._beside.near,
+        )
+
+    def descend(self, masks: NDArray[np.uint8]) -> None:
+        """Go to the children that `masks` (n,) name."""
+        level = Level(self.codes, masks, np.empty(len(masks), dtype=np.int32))
+        codes, parents = children_of(level)
+        if self.height > 0:
+            self._own.descend(level, level, len(codes))
+            self._beside.descend(level, self._level_of(self._side), len(codes))
+            if self._superset is not None:
+                self._inside.descend(level, self._level_of(self._superset), len(codes))
+        self.codes, self._parent_masks = codes, masks[parents]
+        self.height -= 1
+
+    def _level_of(self, tree: Octree) -> Level:
+        return tree.levels[len(tree.levels) - 1 - self.height]
+
+    def _allowed(self) -> NDArray[np.uint8]:
+        if self._superset is not None:
+            return self._level_of(self._superset).masks[self._inside.near[:, CENTER]]
+        allowed = np.full(len(self.codes), ALL_CHILDREN, dtype=np.uint8)
+        here = self._beside.near[:, CENTER]
+        if self.height == 0:
+            allowed[here >= 0] ^= self._level_of(self._side).masks[here[here >= 0]]
+        return allowed

@@ -91,7 +91,7 @@ def _around() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
 
 
 AROUND, TRILINEAR, SQUARED_DISTANCE = _around()
-SIBLING_WEIGHT = np.array([96, 32, 16, 8], dtype=np.int64)
+NEAR_WEIGHT = np.array([96, 14, 4, 1], dtype=np.int64)
 
 
 @kernel
@@ -243,7 +243,7 @@ def predict_child(level: ColorLevel, node: int, octant: int, child: int, predict
             for channel in range(len(predicted)):
                 predicted[channel] += TRILINEAR[k] * level.means[other, channel]
     for d in range(27):
-        weight = SIBLING_WEIGHT[SQUARED_DISTANCE[d]]
+        weight = NEAR_WEIGHT[SQUARED_DISTANCE[d]]
         other = level.child_near[child, d]
         if 0 <= other < level.first[node]:
             total += weight

@@ -7,56 +7,31 @@ before it, parents (all known), and the same places of another tree that both si
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
 from threedvc.kernels.entropy import Coder, overrun
+from threedvc.kernels.geometry_prior import (
+    CHILD_PLACE,
+    FEATURES,
+    PATCH_CHILD,
+    PATCH_OFFSET,
+    Prior,
+    Surroundings,
+    list_features,
+    prior_log_odds,
+)
 from threedvc.kernels.mixing import Mixer, code_mixed_bit, hash_pair
+from threedvc.kernels.octree import BIT_COUNTS
 
-__all__ = ["GEOMETRY_MODELS", "GEOMETRY_SETS", "GEOMETRY_WEIGHT_ROWS", "Surroundings", "code_masks"]
+__all__ = ["GEOMETRY_MODELS", "GEOMETRY_SETS", "GEOMETRY_WEIGHT_ROWS", "code_masks"]
 
-GEOMETRY_MODELS = 10
+GEOMETRY_MODELS = 9
 GEOMETRY_SETS = 3
 GEOMETRY_WEIGHT_ROWS = 128
+MAX_HEIGHT = 3
 EMPTY, OCCUPIED, UNKNOWN = 0, 1, 2
-
-
-class Surroundings(NamedTuple):
-    """What is known about the nodes of a level before their masks are coded.
-
-    Attributes
-    ----------
-    near
-        (n, 27) int32 indices of the nodes around each node, -1 where there is none.
-    parent_masks, octants
-        (n,) uint8: mask of each node's parent, and the node's number in it.
-    allowed
-        (n,) uint8: children that may be there.
-    side_masks
-        (m,) uint8 masks of the same level of the other tree.
-    side_near
-        (n, 27) int32 indices into `side_masks`.
-    """
-
-    near: NDArray[np.int32]
-    parent_masks: NDArray[np.uint8]
-    octants: NDArray[np.uint8]
-    allowed: NDArray[np.uint8]
-    side_masks: NDArray[np.uint8]
-    side_near: NDArray[np.int32]
-
-
-def _patch_tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return, for the 4 x 4 x 4 places about a node's children, the node offset and child number; child and offset places."""
-    places = [(p & 3, p >> 2 & 3, p >> 4) for p in range(64)]
-    offsets = [sum((v + 1) // 2 * 3**a for a, v in enumerate(place)) for place in places]
-    children = [sum(((v + 1) & 1) << a for a, v in enumerate(place)) for place in places]
-    corner = [sum((1 + (o >> a & 1)) * 4**a for a in range(3)) for o in range(8)]
-    shift = [sum((d // 3**a % 3 - 1) * 4**a for a in range(3)) for d in range(27)]
-    return np.array(offsets), np.array(children), np.array(corner), np.array(shift)
 
 
 def _sided_offsets() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -71,7 +46,7 @@ def _sided_offsets() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return touching, opposite
 
 
-PATCH_OFFSET, PATCH_CHILD, CHILD_PLACE, PLACE_SHIFT = _patch_tables()
+PLACE_SHIFT = np.array([sum((d // 3**a % 3 - 1) * 4**a for a in range(3)) for d in range(27)])
 TOUCHING, OPPOSITE = _sided_offsets()
 PLACES = np.arange(27)
 FACES = np.array([4, 10, 12, 14, 16, 22])
@@ -124,7 +99,15 @@ def presence(near: NDArray[np.int32], offsets: NDArray[np.int64]) -> int:
 
 @kernel
 def set_contexts(
-    mixer: Mixer, around: Surroundings, node: int, child: int, height: int, coded: int, patch: NDArray[np.int64], side: NDArray[np.int64]
+    mixer: Mixer,
+    around: Surroundings,
+    node: int,
+    child: int,
+    height: int,
+    coded: int,
+    prior: int,
+    patch: NDArray[np.int64],
+    side: NDArray[np.int64],
 ) -> None:
     """Set the contexts of the decision whether `child` of `node` is there; `coded` are its siblings before, behind a 1."""
     place = CHILD_PLACE[child]
@@ -132,14 +115,8 @@ def set_contexts(
     edges = ternary(patch, place, EDGES)
     occupied = count_state(patch, place, OCCUPIED)
     unknown = count_state(patch, place, UNKNOWN)
+    beside = min(count_state(side, place, OCCUPIED), 7) * 2 + side[place]
     nodes = presence(around.near[node], PLACES)
-    node_count = np.int64(0)
-    side_nodes = np.int64(0)
-    for d in range(27):
-        node_count += nodes >> d & 1
-        side_nodes += 1 if around.side_near[node, d] >= 0 else 0
-    side_here = side[place]
-    side_count = min(count_state(side, place, OCCUPIED), 15)
     touching = presence(around.near[node], TOUCHING[child]) << 7 | presence(around.near[node], OPPOSITE[child])
     where = height * 8 + child
     contexts = mixer.contexts
@@ -148,30 +125,35 @@ def set_contexts(
     contexts[2] = hash_pair(hash_pair(height, faces), edges)
     contexts[3] = hash_pair(where, touching)
     contexts[4] = hash_pair(hash_pair(height, nodes), coded)
-    contexts[5] = hash_pair(where, occupied * 32 + unknown)
-    contexts[6] = hash_pair(hash_pair(height, ternary(side, place, FACES)), (min(side_count, 7) * 2 + side_here) * 32 + occupied)
-    contexts[7] = hash_pair(where, side_count * 64 + side_nodes * 2 + side_here)
-    contexts[8] = hash_pair(where, np.int64(around.parent_masks[node]) * 8 + around.octants[node])
-    contexts[9] = hash_pair(hash_pair(edges, ternary(patch, place, CORNERS)), faces)
+    contexts[5] = hash_pair(where, np.int64(around.parent_masks[node]) * 8 + around.octants[node])
+    contexts[6] = hash_pair(hash_pair(edges, ternary(patch, place, CORNERS)), faces)
+    contexts[7] = hash_pair(coded, (prior + 2048) >> 8)
+    contexts[8] = hash_pair(hash_pair(height, ternary(side, place, FACES)), beside * 32 + occupied)
     mixer.selectors[0] = where
     mixer.selectors[1] = occupied * 3 + min(unknown, 8) // 3
-    mixer.selectors[2] = node_count
+    mixer.selectors[2] = np.int64(BIT_COUNTS[nodes & 255] + BIT_COUNTS[nodes >> 8 & 255] + BIT_COUNTS[nodes >> 16 & 255] + BIT_COUNTS[nodes >> 24])
 
 
 @kernel
-def code_masks(coder: Coder, mixer: Mixer, height: int, masks: NDArray[np.uint8], around: Surroundings) -> bool:
+def code_masks(
+    coder: Coder, mixer: Mixer, prior: Prior, height: int, masks: NDArray[np.uint8], around: Surroundings
+) -> bool:
     """Code the child masks of one level; return False if the data end too early or contradict `allowed`.
 
     `height` is 0 where the children are cells, 1 for the level above, and so on.
     """
     patch = np.zeros(64, np.int64)
     side = np.zeros(64, np.int64)
+    features = np.zeros(FEATURES, np.int64)
+    hidden = np.zeros(len(prior.outputs), np.int32)
+    height = min(height, MAX_HEIGHT)
     mixer.inputs[GEOMETRY_MODELS] = 256
     for i in range(len(masks)):
         allowed = np.int64(around.allowed[i])
         if allowed == 0 or overrun(coder):
             return False
         gather_patch(i, masks, around, patch, side)
+        active = list_features(i, masks, around, features)
         mask = np.int64(0)
         coded = np.int64(1)
         for child in range(8):
@@ -179,7 +161,9 @@ def code_masks(coder: Coder, mixer: Mixer, height: int, masks: NDArray[np.uint8]
             if allowed >> child == 1 and mask == 0:
                 bit = np.int64(1)
             elif allowed >> child & 1:
-                set_contexts(mixer, around, i, child, height, coded, patch, side)
+                guess = prior_log_odds(prior, height, child, mask, features, active, hidden)
+                set_contexts(mixer, around, i, child, height, coded, guess, patch, side)
+                mixer.inputs[GEOMETRY_MODELS + 1] = guess
                 bit = code_mixed_bit(coder, np.int64(masks[i]) >> child & 1, mixer)
             patch[CHILD_PLACE[child]] = bit
             coded = coded << 1 | bit

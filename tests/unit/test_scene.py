@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: MIT
+"""The encoder's view of a sequence: which objects there are, where they were found, what is fused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from threedvc.camera import Camera, CameraRig
+from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
+from threedvc.errors import SequenceError
+from threedvc.frame import Frame, SequenceInfo
+from threedvc.motion import Located
+from threedvc.pose import Pose, identity, make_pose
+from threedvc.scene import Scene, SceneObject, default_voxel_size
+
+CAMERA = Camera(width=48, height=36, fx=50.0, fy=50.0, cx=23.5, cy=17.5)
+INFO = SequenceInfo(
+    name="wall", rig=CameraRig.registered_to(CAMERA), depth_scale=1000.0, fps=30.0, frame_count=None,
+    has_camera_poses=True, has_object_poses=True, has_masks=True,
+)  # fmt: skip
+MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
+BOX = (slice(10, 22), slice(8, 24))
+
+
+def config(**changes: object) -> EncoderConfig:
+    values = {"segmentation": MASKS, "motion": Motion.KNOWN, "sensor": Sensor.IDEAL, "threads": 1, "refine": False}
+    return EncoderConfig(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def shifted(x: float, z: float = 0.0) -> Pose:
+    return make_pose(np.eye(3), np.array([x, 0.0, z]))
+
+
+def frame(index: int, *, boxed: bool = True, pose: Pose | None = None, wall: float = 1.5) -> Frame:
+    """Return a wall with a box before it, which has label 3."""
+    depth = np.full((36, 48), wall, dtype=np.float32)
+    mask = np.zeros((36, 48), dtype=np.uint8)
+    if boxed:
+        depth[BOX], mask[BOX] = 0.9, 3
+    color = np.full((36, 48, 3), 90, dtype=np.uint8)
+    poses = {3: shifted(0, 0.9) if pose is None else pose} if boxed else {}
+    return Frame(
+        index=index, timestamp_ns=index, color=color, depth=depth, mask=mask, T_world_camera=identity(), T_camera_object=poses
+    )
+
+
+def test_objects_are_those_of_the_labels() -> None:
+    scene = Scene(INFO, config())
+    assert scene.entropy_bits == 0
+    assert scene.add(frame(0, boxed=False)) == "known"
+    assert sorted(scene.objects) == [0]
+    scene.add(frame(1))
+    assert sorted(scene.objects) == [0, 3]
+    assert (scene.objects[0].born, scene.objects[3].born) == (0, 1)
+    assert scene.timestamps == [0, 1]
+    assert scene.entropy_bits == sum(item.entropy.bits for item in scene.objects.values()) > 0
+
+
+def test_a_few_pixels_make_no_object() -> None:
+    scene = Scene(INFO, config())
+    speck = frame(0, boxed=False)
+    assert speck.mask is not None
+    speck.mask[3:5, 3:9] = 7
+    scene.add(speck)
+    assert sorted(scene.objects) == [0]
+
+
+def test_an_object_has_its_own_model() -> None:
+    scene = Scene(INFO, config())
+    for index in range(3):
+        scene.add(frame(index))
+    box, wall = scene.objects[3].evidence, scene.objects[0].evidence
+    occupied = [
+        model.index.coords[np.flatnonzero((model.log_odds[: model.index.count] > 1).any(axis=1))] * 8 * model.voxel_size_m
+        for model in (box, wall)
+    ]
+    # The box's frame has its origin in the box, the wall's in the camera.
+    assert np.abs(occupied[0][:, 2]).max() < 0.3
+    assert np.abs(occupied[1][:, 2] - 1.5).max() < 0.4
+
+
+def test_an_unseen_object_keeps_its_last_pose_and_at_first_its_first() -> None:
+    scene = Scene(INFO, config())
+    places = [None, None, shifted(0.1, 0.9), shifted(0.2, 0.9), None, shifted(0.4, 0.9)]
+    for index, place in enumerate(places):
+        scene.add(frame(index, boxed=place is not None, pose=place))
+    x = [pose[0, 3] for pose in scene.objects[3].poses]
+    assert x == [0.1, 0.1, 0.1, 0.2, 0.2, 0.4]
+    assert scene.objects[3].born == 2
+    assert [at is None for at in scene.objects[3].found] == [True, True, False, False, True, False]
+
+
+def test_what_was_never_found_stands_at_the_origin() -> None:
+    item = SceneObject(1, 0.01, None)
+    for index in range(3):
+        item.record(index, None)
+    assert item.born is None
+    np.testing.assert_array_equal(item.poses, [identity()] * 3)
+
+
+def test_the_worst_status_of_a_frame_is_told() -> None:
+    script = {
+        0: [Located(T_camera_object=identity(), status=status) for status in ("known", "tracked", "tracked", "weak")],
+        3: [Located(T_camera_object=shifted(0, 0.9), status=status) for status in ("known", "known", "lost", "tracked")],
+    }
+    scene = Scene(INFO, config(), script)
+    assert [scene.add(frame(index)) for index in range(4)] == ["known", "tracked", "lost", "weak"]
+
+
+def test_a_lost_object_is_not_fused() -> None:
+    lost = Located(T_camera_object=shifted(0.3, 0.9), status="lost")
+    found = Located(T_camera_object=shifted(0, 0.9), status="tracked")
+    here = Located(T_camera_object=identity(), status="known")
+    once = Scene(INFO, config(), {0: [here] * 3, 3: [found] * 3})
+    twice = Scene(INFO, config(), {0: [here] * 3, 3: [found, lost, lost]})
+    once.add(frame(0))
+    for index in range(3):
+        twice.add(frame(index))
+    np.testing.assert_array_equal(once.objects[3].evidence.log_odds, twice.objects[3].evidence.log_odds)
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf, -1.0])
+def test_what_is_no_depth_counts_as_no_measurement(broken: float) -> None:
+    scenes = [Scene(INFO, config()), Scene(INFO, config())]
+    for index in range(2):
+        holes = frame(index)
+        holes.depth[5:9, 30:40] = 0
+        bad = replace(holes, depth=np.where(holes.depth == 0, np.float32(broken), holes.depth))
+        scenes[0].add(holes)
+        scenes[1].add(bad)
+    one, two = (scene.objects[0].evidence for scene in scenes)
+    np.testing.assert_array_equal(one.log_odds, two.log_odds)
+    np.testing.assert_array_equal(one.color, two.color)
+
+
+def test_a_depth_limit_cuts_what_is_beyond() -> None:
+    scene = Scene(INFO, config(max_depth_m=1.2))
+    scene.add(frame(0))
+    assert scene.objects[0].evidence.index.count == 0
+    assert scene.objects[3].evidence.index.count > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"depth": np.zeros((36, 47), dtype=np.float32)}, r"wall: frame 2 has depth of shape \(36, 47\), its camera asks for \(36, 48\)"),
+        ({"color": np.zeros((35, 48, 3), dtype=np.uint8)}, r"colour of shape \(35, 48, 3\), its camera asks for \(36, 48, 3\)"),
+        ({"color": np.zeros((36, 48), dtype=np.uint8)}, r"wall: frame 2 has colour of shape \(36, 48\), its"),
+        ({"mask": np.zeros((18, 24), dtype=np.uint8)}, r"wall: mask of frame 2 has 24x18 pixels, its depth 48x36"),
+        ({"T_world_camera": np.full((4, 4), np.nan)}, r"wall: frame 2 has a camera pose that is not a rigid transform"),
+        ({"T_camera_object": {3: np.zeros((4, 4))}}, r"wall: frame 2 has a pose of object 3 that is not a rigid transform"),
+    ],
+)
+def test_frames_that_do_not_fit_are_refused(changes: dict[str, object], message: str) -> None:
+    scene = Scene(INFO, config())
+    with pytest.raises(SequenceError, match=message):
+        scene.add(replace(frame(2), **changes))
+
+
+def whole(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return np.ones(depth.shape, dtype=bool)
+
+
+def test_the_default_cell_follows_distance_and_picture() -> None:
+    large = replace(INFO, rig=CameraRig.registered_to(CAMERA.resized(640, 480)))
+    near, far = (np.full((480, 640), z, dtype=np.float32) for z in (1.0, 3.0))
+    one, three = default_voxel_size(near, whole(near), large), default_voxel_size(far, whole(far), large)
+    # Four pixels of a 640x480 picture; a pixel spans z / fx.
+    assert one == pytest.approx(4 * 1.0 / large.rig.depth.fx, abs=0.0006)
+    assert three == pytest.approx(3 * one, abs=0.0016)
+    assert one == round(one, 3)
+
+
+def test_the_default_cell_is_that_of_the_object() -> None:
+    picture = frame(0)
+    box = picture.mask == 3
+    assert default_voxel_size(picture.depth, box, INFO) < default_voxel_size(picture.depth, ~box, INFO)
+    nothing = np.zeros_like(picture.depth)
+    assert default_voxel_size(nothing, whole(nothing), INFO) > 0
+    close = np.full_like(picture.depth, 0.001)
+    assert default_voxel_size(close, whole(close), INFO) == 0.001
+
+
+def test_sensor_is_guessed_once_or_given() -> None:
+    rng = np.random.default_rng(4)
+    smooth, noisy = Scene(INFO, config(sensor=Sensor.AUTO)), Scene(INFO, config(sensor=Sensor.AUTO))
+    smooth.add(frame(0))
+    rough = frame(0, boxed=False)
+    noisy.add(replace(rough, depth=(rough.depth + rng.normal(0, 0.01, rough.depth.shape)).astype(np.float32)))
+    assert smooth.sensor.sigma_m(2.0) < noisy.sensor.sigma_m(2.0)
+    before = smooth.sensor
+    smooth.add(replace(frame(1), depth=(frame(1).depth + rng.normal(0, 0.01, rough.depth.shape)).astype(np.float32)))
+    assert smooth.sensor is before
+    assert Scene(INFO, config()).sensor.sigma_m(2.0) > 0
