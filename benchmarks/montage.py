@@ -40,9 +40,9 @@ def pictures(folder: Path, kind: str) -> list[Path]:
 
 
 def depth_scale(folder: Path) -> float:
-    """Return the units per metre of a folder's depth pictures."""
+    """Return the units per metre of a folder's depth pictures, 1000 where it does not say."""
     description = json.loads((folder / "intrinsics.json").read_text(encoding="utf-8"))
-    return float(description["depth_scale"])
+    return float(description.get("depth_scale", 1000))
 
 
 def read(path: Path, flags: int) -> NDArray[np.generic]:

@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 
 from threedvc.coding.morton import Cube, morton_codes
 from threedvc.coding.octree import Octree, TreeWalk
-from threedvc.kernels.geometry_prior import CHILD_PLACE, FEATURES, HEIGHTS, MIRRORED, PRIOR_SCALE, Surroundings, child_row, list_features
+from threedvc.kernels.geometry_prior import (
+    CHILD_PLACE,
+    FEATURES,
+    HEIGHTS,
+    MIRRORED,
+    PRIOR_SCALE,
+    Surroundings,
+    child_row,
+    list_features,
+)
 
 SIDE = 96
 HIDDEN = 24
@@ -76,7 +85,7 @@ def solid_distance(rng: Rng, points: NDArray[np.float64]) -> NDArray[np.float64]
     if kind == 0:
         return np.asarray((np.linalg.norm(points / size, axis=1) - 1) * size.min())
     if kind == 1:
-        return np.maximum(np.linalg.norm(points[:, :2], axis=1) - size[0], np.abs(points[:, 2]) - size[2])
+        return np.asarray(np.maximum(np.hypot(points[:, 0], points[:, 1]) - size[0], np.abs(points[:, 2]) - size[2]))
     beyond = np.abs(points) - size
     return np.asarray(np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0))
 
@@ -91,7 +100,7 @@ def random_distances(rng: Rng) -> Floats:
     for _ in range(rng.integers(2, 9)):
         turned = random_rotation(rng) if rng.random() < 0.4 else np.eye(3)
         distance = np.minimum(distance, solid_distance(rng, (inside - rng.uniform(-1, 1, 3) * half) @ turned))
-    field = distance.reshape(SIDE, SIDE, SIDE).astype(np.float32)
+    field: Floats = distance.reshape(SIDE, SIDE, SIDE).astype(np.float32)
     roughness = rng.choice([0, 0.15, 0.3, 0.5, 0.8])
     for period in (1, 2, 4, 8):
         field += roughness * rng.uniform(0, 0.7) * value_noise(rng, period)
@@ -146,7 +155,9 @@ def random_part(rng: Rng, cells: NDArray[np.int32]) -> tuple[NDArray[np.int32], 
 
 
 @njit
-def collect(height: int, masks: NDArray[np.uint8], around: Surroundings, rows: NDArray[np.uint8], there: NDArray[np.uint8]) -> int:
+def collect(
+    height: int, masks: NDArray[np.uint8], around: Surroundings, rows: NDArray[np.uint8], there: NDArray[np.uint8]
+) -> int:
     """Write inputs and outcomes of all decisions of a level; return their number."""
     features = np.zeros(FEATURES, np.int64)
     count = 0
@@ -186,7 +197,8 @@ def decisions(state: NDArray[np.int32], added: NDArray[np.int32]) -> tuple[NDArr
 def train(inputs: NDArray[np.uint8], outcomes: NDArray[np.uint8], steps: int, rng: Rng) -> list[Floats]:
     """Return the weights of the network: Adam on the code length, the rate falling to zero."""
     shapes = [(INPUTS, HIDDEN), (HIDDEN, 1), (1, 1)]
-    weights = [(rng.normal(size=shape) * scale).astype(np.float32) for shape, scale in zip(shapes, (0.1, 0.2, 0), strict=True)]
+    scales = (0.1, 0.2, 0)
+    weights = [(rng.normal(size=shape) * scale).astype(np.float32) for shape, scale in zip(shapes, scales, strict=True)]
     first, second = [np.zeros_like(w) for w in weights], [np.zeros_like(w) for w in weights]
     for step in range(steps):
         pick = rng.integers(len(inputs), size=BATCH)
@@ -223,7 +235,8 @@ def main() -> None:
     rng = np.random.default_rng(1995)
     parts = [random_part(rng, random_shell(rng)) for _ in range(arguments.scenes)]
     samples = [decisions(state, added) for state, added in parts if len(added)]
-    rows, output_bias = quantised(train(*(np.concatenate(part) for part in zip(*samples, strict=True)), arguments.steps, rng))
+    inputs, outcomes = (np.concatenate(part) for part in zip(*samples, strict=True))
+    rows, output_bias = quantised(train(inputs, outcomes, arguments.steps, rng))
     text = base64.b85encode(rows.tobytes()).decode()
     lines = "\n".join(f'    r"{text[k : k + LINE]}"' for k in range(0, len(text), LINE))
     print(MODULE.format(hidden=HIDDEN, output_bias=output_bias, lines=lines), end="")

@@ -71,13 +71,17 @@ class BlockIndex:
         if not len(blocks):
             return 0
         if np.abs(blocks.astype(np.int64)).max() >= CELL_LIMIT // BLOCK_SIDE:
-            raise LimitExceeded("a cell lies further than 2^20 cells from the origin; use larger cells or a maximum depth")
+            raise LimitExceeded(
+                "a cell lies further than 2^20 cells from the origin; use larger cells or a maximum depth"
+            )
         blocks = np.unique(blocks, axis=0)
         new = blocks[self.locate(blocks * BLOCK_SIDE) < 0]
         if not len(new):
             return 0
         if self.count + len(new) > BLOCK_LIMIT:
-            raise LimitExceeded(f"a model of more than {BLOCK_LIMIT} blocks of 8x8x8 cells is too large; use larger cells")
+            raise LimitExceeded(
+                f"a model of more than {BLOCK_LIMIT} blocks of 8x8x8 cells is too large; use larger cells"
+            )
         new = new[np.argsort(morton_keys(new), kind="stable")]
         supers = np.unique(new >> 3, axis=0)
         self._cover(supers)

@@ -4,8 +4,8 @@
 Data sets often come with one set of intrinsics for both cameras and pictures that are not registered. A
 surface point that many frames see has one colour, so the right colour camera is the one in which the lumas
 that the frames show at a point agree best. Focal length, the first radial coefficient and the extrinsic, whose
-turn serves for the principal point too, are found by Gauss-Newton steps from coarse to fine; the luma of each point and the exposure
-of each frame are eliminated by subtracting means.
+turn serves for the principal point too, are found by Gauss-Newton steps from coarse to fine; the luma of each
+point and the exposure of each frame are eliminated by subtracting means.
 """
 
 from __future__ import annotations
@@ -86,11 +86,15 @@ def calibrate(rig: CameraRig, sightings: Sequence[Sighting]) -> CameraRig | None
         than 10 % better than with `rig`; where points move by less than a pixel; or where the change is
         implausible.
     """
-    if len(sightings) < MIN_SIGHTS or _travel(sightings) < MIN_TRAVEL or np.count_nonzero(sum(s.seen.astype(int) for s in sightings) >= MIN_SIGHTS) < MIN_POINTS:
+    if (
+        len(sightings) < MIN_SIGHTS
+        or _travel(sightings) < MIN_TRAVEL
+        or np.count_nonzero(sum(s.seen.astype(int) for s in sightings) >= MIN_SIGHTS) < MIN_POINTS
+    ):
         return None
     found = np.zeros(len(SPREAD))
     for blur in BLURS_PX:
-        pictures = [cv2.GaussianBlur(s.luma, (0, 0), blur) for s in sightings]
+        pictures = [np.asarray(cv2.GaussianBlur(s.luma, (0, 0), blur), dtype=np.float32) for s in sightings]
         found = _refined(found, rig, sightings, pictures)
     before, after = _disagreement(np.zeros_like(found), found, rig, sightings, pictures)
     if np.any(np.abs(found) > MAX_SPREADS * SPREAD):
@@ -137,7 +141,9 @@ def _changed(rig: CameraRig, change: Doubles) -> CameraRig:
     return CameraRig(color=color, depth=rig.depth, T_color_depth=T)
 
 
-def _lumas(change: Doubles, rig: CameraRig, sightings: Sequence[Sighting], pictures: Sequence[NDArray[np.float32]]) -> Doubles:
+def _lumas(
+    change: Doubles, rig: CameraRig, sightings: Sequence[Sighting], pictures: Sequence[NDArray[np.float32]]
+) -> Doubles:
     """Return the luma (frames, points) at which each frame shows each point; NaN where it does not."""
     moved = _changed(rig, change)
     T = moved.T_color_depth
@@ -167,7 +173,8 @@ def _centred(lumas: Doubles, used: NDArray[np.bool_]) -> Doubles:
 
 def _used(*lumas: Doubles) -> NDArray[np.bool_]:
     known = np.all([np.isfinite(luma) for luma in lumas], axis=0)
-    return known & (known.sum(axis=0, keepdims=True) >= MIN_SIGHTS)
+    often = np.count_nonzero(known, axis=0) >= MIN_SIGHTS
+    return np.asarray(known & often, dtype=np.bool_)
 
 
 def _refined(

@@ -198,7 +198,9 @@ class Decoder:
         for member in members:
             for frame, action in self._actions(member):
                 if not header.frame <= frame < stop:
-                    raise CorruptStream(f"a packet of frame {frame} stands in the BATCH of frames {header.frame}..{stop - 1}")
+                    raise CorruptStream(
+                        f"a packet of frame {frame} stands in the BATCH of frames {header.frame}..{stop - 1}"
+                    )
                 todo.setdefault(frame, []).append(action)
         for frame in range(header.frame, stop):
             for action in todo.get(frame, ()):
@@ -262,7 +264,9 @@ class Decoder:
 
     def _clock(self, header: ClockHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
         if header.frame < self._next_corrected:
-            raise CorruptStream(f"a CLOCK from frame {header.frame} on follows one up to frame {self._next_corrected - 1}")
+            raise CorruptStream(
+                f"a CLOCK from frame {header.frame} on follows one up to frame {self._next_corrected - 1}"
+            )
         self._next_corrected = header.frame + header.count
         reader = ByteReader(payload)
         for frame in range(header.frame, self._next_corrected):

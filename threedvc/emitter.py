@@ -89,7 +89,9 @@ class Emitter:
         return StreamHeader(
             color_camera=_camera_record(rig.color),
             depth_camera=() if rig.depth == rig.color else _camera_record(rig.depth),
-            T_color_depth=() if np.array_equal(rig.T_color_depth, np.eye(4)) else tuple(rig.T_color_depth[:3].ravel().tolist()),
+            T_color_depth=()
+            if np.array_equal(rig.T_color_depth, np.eye(4))
+            else tuple(rig.T_color_depth[:3].ravel().tolist()),
             depth_scale=info.depth_scale,
             start_ns=self._scene.timestamps[0],
             period_num=self._clock[0],
@@ -177,7 +179,9 @@ class Emitter:
                 still = sent.coder.repeats(pose)
             else:
                 shift, turn = pose[:3, 3] - last[:3, 3], pose[:3, :3] - last[:3, :3]
-                still = 2 * np.abs(shift).max() < steps.translation_step_m and np.abs(turn).max() < steps.rotation_step_rad
+                still = (
+                    2 * np.abs(shift).max() < steps.translation_step_m and np.abs(turn).max() < steps.rotation_step_rad
+                )
             moving.append(not still)
             last = last if still else pose
         return moving

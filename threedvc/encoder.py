@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import TypeAlias, cast
 
 from threedvc.config import EncoderConfig
+from threedvc.decoder import Decoder
 from threedvc.emitter import Emitter
 from threedvc.errors import CorruptStream, SequenceError
-from threedvc.decoder import Decoder
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
 from threedvc.packets import Packet, PacketType
 from threedvc.refinement import calibrated_rig, refined_script

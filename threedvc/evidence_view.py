@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from threedvc.registration import ModelView
 __all__ = ["Thinned", "cast_view"]
 
 TRACKING_PIXELS = 120_000
+Scalar = TypeVar("Scalar", bound=np.generic)
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
@@ -47,15 +49,15 @@ class Thinned:
         self.grid = RayGrid(self.camera)
         self._slopes = full.rays()
 
-    def thin(self, picture: NDArray[np.generic]) -> NDArray[np.generic]:
+    def thin(self, picture: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return every n-th pixel of a picture of the depth camera."""
         return np.ascontiguousarray(picture[:: self.stride, :: self.stride])
 
     def luma(self, frame: Frame) -> NDArray[np.float32]:
         """Return the luma (h, w) seen at the thinned depth pixels, NaN where it is not known."""
-        luma = frame.color.astype(np.float32) @ LUMA
+        luma: NDArray[np.float32] = frame.color.astype(np.float32) @ LUMA
         if self.stride > 1:
-            luma = cv2.blur(luma, (self.stride, self.stride))
+            luma = np.asarray(cv2.blur(luma, (self.stride, self.stride)), dtype=np.float32)
         if self.rig.registered:
             return np.asarray(self.thin(luma), dtype=np.float32)
         return self._warped(luma, frame.depth)
@@ -71,7 +73,12 @@ class Thinned:
         moved[~valid] = (0.0, 0.0, 1.0)
         pixels = self.rig.color.project(moved).astype(np.float32)
         seen = cv2.remap(
-            luma, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+            luma,
+            pixels[..., 0],
+            pixels[..., 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=float("nan"),
         )
         return np.where(valid, seen, np.float32(np.nan))
 

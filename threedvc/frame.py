@@ -111,7 +111,9 @@ def check_frame(frame: Frame, info: SequenceInfo) -> None:
                 f" {(camera.height, camera.width, *channels)}; give frames and intrinsics of one size"
             )
     if frame.T_world_camera is not None and not is_rigid(frame.T_world_camera):
-        raise SequenceError(f"{place} has a camera pose that is not a rigid transform; correct it or use --motion track")
+        raise SequenceError(
+            f"{place} has a camera pose that is not a rigid transform; correct it or use --motion track"
+        )
     for number, pose in frame.T_camera_object.items():
         if not is_rigid(pose):
             raise SequenceError(f"{place} has a pose of object {number} that is not a rigid transform; correct it")

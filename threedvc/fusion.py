@@ -72,7 +72,8 @@ def observe(frame: Frame, rig: CameraRig, rays: NDArray[np.float64]) -> Observat
     levels = [frame.color.astype(np.float32)]
     while len(levels) < PYRAMID_LEVELS and min(levels[-1].shape[:2]) >= 4:
         height, width = levels[-1].shape[:2]
-        levels.append(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+        half = cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(half, dtype=np.float32))
     return Observation(
         frame=frame.index,
         rig=rig,
@@ -178,7 +179,7 @@ def _visible(
     numbers = np.empty(model.index.count, dtype=np.int64)
     camera = seen.rig.depth
     furthest = float(seen.depth.max(initial=0))
-    far = furthest + max(config.band_sigmas * sensor.sigma_m(furthest), 3 * model.voxel_size_m)
+    far = furthest + max(config.band_sigmas * float(sensor.sigma_m(np.array(furthest))), 3 * model.voxel_size_m)
     count = visible_blocks(
         model.index.coords, model.index.count, model.voxel_size_m, T_camera_object, parameters, camera.width,
         camera.height, far, numbers,

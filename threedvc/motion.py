@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,13 @@ def known_pose(number: int, frame: Frame, only_label: bool) -> Pose | None:
     return next(iter(poses.values())) if only_label and len(poses) == 1 else None
 
 
+class _Options(TypedDict):
+    """What every call of the registration is given."""
+
+    sigma_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    threads: int
+
+
 class Tracker:
     """Follows one object by registration; remembers its last two poses.
 
@@ -106,7 +114,7 @@ class Tracker:
         last = self._poses[-1]
         guess = predict(*self._poses) if len(self._poses) > 1 else last
         view = cast_view(model, thinned, guess, self._threads)
-        options = {"sigma_m": self._sensor.sigma_m, "threads": self._threads}
+        options = _Options(sigma_m=self._sensor.sigma_m, threads=self._threads)
         found = register_from_starts(depth, luma, mask, camera, view, guess, **options)
         if found.status is Status.LOST:
             return Located(T_camera_object=last, status=Status.LOST)
@@ -132,7 +140,7 @@ def refined(
     """
     depth, mask, camera = thinned.thin(frame.depth), thinned.thin(mask), thinned.camera
     view = cast_view(model, thinned, at.T_camera_object, threads)
-    options = {"sigma_m": sensor.sigma_m, "threads": threads}
+    options = _Options(sigma_m=sensor.sigma_m, threads=threads)
     found = register(depth, luma, mask, camera, view, at.T_camera_object, **options)
     if found.status is not Status.TRACKED:
         return at

@@ -36,6 +36,8 @@ class DecodedModel:
         (blocks, 512) uint8.
     color
         (blocks, 512, 3) int16 RGB; 0 in empty cells.
+    version
+        Number of updates applied.
     """
 
     def __init__(self, voxel_size_m: float) -> None:
@@ -44,7 +46,8 @@ class DecodedModel:
         self.occupied = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.color = np.zeros((0, BLOCK_CELLS, 3), dtype=np.int16)
         self.cell_count = 0
-        self._dirty: set[int] = set()
+        self.version = 0
+        self._changed = np.zeros(0, dtype=np.int64)
 
     def cells(self) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
         """Return the occupied cells (n, 3) in Morton order and their colours (n, 3)."""
@@ -71,14 +74,12 @@ class DecodedModel:
         color[added] = update.added_colors
         color[recolored] = update.recolored_colors
         self.cell_count += len(added) - len(removed)
-        touched = np.concatenate([added, removed, recolored]) // BLOCK_CELLS
-        self._dirty.update(np.unique(touched).tolist())
+        self.version += 1
+        self._changed[np.concatenate([added, removed, recolored]) // BLOCK_CELLS] = self.version
 
-    def take_dirty(self) -> NDArray[np.int32]:
-        """Return the coordinates (n, 3) of blocks changed since the last call."""
-        numbers = np.array(sorted(self._dirty), dtype=np.int64)
-        self._dirty.clear()
-        return self.index.coords[numbers]
+    def changed_since(self, version: int) -> NDArray[np.int32]:
+        """Return the coordinates (n, 3) of blocks that updates after `version` touched."""
+        return self.index.coords[: self.index.count][self._changed[: self.index.count] > version]
 
     def digest(self) -> bytes:
         """Return a hash of cells and colours, independent of the order in which they came."""
@@ -100,6 +101,7 @@ class DecodedModel:
             more = max(self.index.count, len(self.occupied) * 3 // 2) - len(self.occupied)
             self.occupied = np.concatenate([self.occupied, np.zeros((more, BLOCK_CELLS), dtype=np.uint8)])
             self.color = np.concatenate([self.color, np.zeros((more, BLOCK_CELLS, 3), dtype=np.int16)])
+            self._changed = np.concatenate([self._changed, np.zeros(more, dtype=np.int64)])
 
 
 class EvidenceModel:

@@ -47,7 +47,8 @@ def compose(first: Pose, second: Pose) -> Pose:
     does not.
     """
     a, b = first, second
-    return a[:, 0:1] * b[0] + a[:, 1:2] * b[1] + a[:, 2:3] * b[2] + a[:, 3:4] * b[3]
+    product: Pose = a[:, 0:1] * b[0] + a[:, 1:2] * b[1] + a[:, 2:3] * b[2] + a[:, 3:4] * b[3]
+    return product
 
 
 def inverse(pose: Pose) -> Pose:

@@ -100,7 +100,9 @@ def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpda
     surface = read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS)
     known = _is_sent(sent, surface.cells)
     near = np.zeros(len(surface.cells), dtype=np.int32)
-    count_neighbours(surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near)
+    count_neighbours(
+        surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near
+    )
     moved = np.zeros(len(known), dtype=bool)
     positions = sent.index.locate(surface.cells[known])
     drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
@@ -123,7 +125,8 @@ def _vanished(model: EvidenceModel, sent: DecodedModel, threads: int) -> NDArray
     flags.reshape(-1)[model.index.locate(read_surface(model, threads).cells)] = 1
     beside = np.zeros(len(cells), dtype=np.int32)
     count_neighbours(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
-    return cells[(beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)]
+    gone = (beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)
+    return np.asarray(cells[gone], dtype=np.int32)
 
 
 def _is_sent(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -34,14 +34,16 @@ def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
     """
     item = scene.objects[0]
     surface = read_surface(item.evidence, scene.config.threads)
-    points = (surface.cells + 0.5) * item.evidence.voxel_size_m
+    points = np.asarray((surface.cells + 0.5) * item.evidence.voxel_size_m, dtype=np.float64)
     chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]
     step = max(1, len(frames) // CALIBRATION_FRAMES)
     sightings = []
     for frame in range(0, len(frames), step):
         at = item.found[frame]
         if at is not None and at.usable:
-            sightings.append(sighting(points[chosen], scene.limited(frames[frame]), at.T_camera_object, scene.info.rig.depth))
+            sightings.append(
+                sighting(points[chosen], scene.limited(frames[frame]), at.T_camera_object, scene.info.rig.depth)
+            )
     return calibrate(scene.info.rig, sightings)
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from threedvc.block_index import BLOCK_CELLS, BlockIndex
 from threedvc.camera import CameraRig
 from threedvc.config import RenderConfig
-from threedvc.kernels.raycast import OPACITY, cast_rays
 from threedvc.kernels.hole_filling import pull, push
 from threedvc.kernels.ray_sampling import interpolate_between
+from threedvc.kernels.raycast import OPACITY, cast_rays
 from threedvc.kernels.render_blocks import build_block, fit_planes
 from threedvc.object_model import DecodedModel
 from threedvc.parallel import for_ranges
@@ -64,23 +64,31 @@ class RenderModel:
         self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
         self.color = np.zeros((0, BORDERED_CELLS, 3), dtype=np.int16)
         self._planes = np.zeros((0, BLOCK_CELLS, 4), dtype=np.int8)
+        self._version = 0
 
     def refresh(self, threads: int) -> None:
         """Rebuild the blocks around everything that changed since the last call."""
-        dirty = self.model.take_dirty()
-        if not len(dirty):
-            return
         model = self.model
+        changed, self._version = model.changed_since(self._version), model.version
+        if not len(changed):
+            return
         if len(model.occupied) > len(self._planes):
             more = np.zeros((len(model.occupied) - len(self._planes), BLOCK_CELLS, 4), dtype=np.int8)
             self._planes = np.concatenate([self._planes, more])
-        around = _shifted(dirty, (-1, 0, 1))
+        around = _shifted(changed, (-1, 0, 1))
         positions = model.index.locate(around * 8)
         numbers = positions[positions >= 0] // BLOCK_CELLS
 
         def plane_range(start: int, stop: int) -> None:
             fit_planes(
-                numbers, start, stop, model.index.coords, model.index.tables, model.occupied, PLANE_WEIGHTS, self._planes
+                numbers,
+                start,
+                stop,
+                model.index.coords,
+                model.index.tables,
+                model.occupied,
+                PLANE_WEIGHTS,
+                self._planes,
             )
 
         for_ranges(plane_range, len(numbers), threads)
@@ -233,15 +241,18 @@ class Renderer:
         """Average the rays of each pixel and fill what none of them hit."""
         camera, s = self.rig.color, self.supersample
         if s == 1:
-            value = color.reshape(camera.height, camera.width, 3)
+            value: NDArray[np.float32] = color.reshape(camera.height, camera.width, 3)
             known = (depth > 0).astype(np.uint8).reshape(camera.height, camera.width)
         else:
             shade = color.reshape(camera.height, s, camera.width, s, 3)
             hits = (depth > 0).astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
             rays = [(i, j) for i in range(s) for j in range(s)]
-            weight = sum((hits[:, i, :, j] for i, j in rays), np.float32(0))
-            total = sum((shade[:, i, :, j] for i, j in rays), np.float32(0))
-            value = total / np.maximum(weight, np.float32(1))
+            weight = np.zeros((camera.height, camera.width, 1), np.float32)
+            total = np.zeros((camera.height, camera.width, 3), np.float32)
+            for i, j in rays:
+                weight += hits[:, i, :, j]
+                total += shade[:, i, :, j]
+            value = np.asarray(total / np.maximum(weight, np.float32(1)), dtype=np.float32)
             known = (weight[..., 0] > 0).astype(np.uint8)
         _fill(value, known)
         return np.asarray(np.clip(value, 0, 255) + np.float32(0.5)).astype(np.uint8)

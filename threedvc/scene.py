@@ -67,7 +67,9 @@ class SceneObject:
         self.poses: list[Pose] = []
         self.born: int | None = None
 
-    def locate(self, frame: Frame, mask: NDArray[np.bool_], luma: NDArray[np.float32] | None, alone: bool) -> Located | None:
+    def locate(
+        self, frame: Frame, mask: NDArray[np.bool_], luma: NDArray[np.float32] | None, alone: bool
+    ) -> Located | None:
         """Find the object in a frame; None where it is not seen and its pose is not known."""
         if self.tracker is None or luma is None:
             pose = known_pose(self.number, frame, alone)

@@ -16,7 +16,6 @@ explain every far reading as an outlier).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,16 +51,14 @@ class SensorModel:
 
     def __post_init__(self) -> None:
         if min(self.s0_m, self.s1, self.s2_per_m, self.quantum_per_m) < 0 or not 0 < self.outlier < 1:
-            raise ConfigError(f"sensor model {self} must have non-negative deviations and an outlier weight within 0..1")
+            raise ConfigError(
+                f"sensor model {self} must have non-negative deviations and an outlier weight within 0..1"
+            )
 
-    @overload
-    def sigma_m(self, z: float) -> float: ...
-    @overload
-    def sigma_m(self, z: NDArray[np.floating]) -> NDArray[np.floating]: ...
-    def sigma_m(self, z):  # type: ignore[no-untyped-def]
-        """Return the axial deviation in metres at depth `z` in metres."""
+    def sigma_m(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the axial deviations in metres at depths `z` in metres, of any shape."""
         axial = self.s0_m + z * (self.s1 + z * self.s2_per_m)
-        return np.sqrt(axial * axial + (self.quantum_per_m * z * z) ** 2 / 12)
+        return np.asarray(np.sqrt(axial * axial + (self.quantum_per_m * z * z) ** 2 / 12), dtype=np.float64)
 
     def parameters(self) -> NDArray[np.float64]:
         """Return ``s0, s1, s2, q, outlier`` for the kernels."""

@@ -67,7 +67,7 @@ def test_an_empty_update_changes_nothing() -> None:
     model = DecodedModel(0.01)
     assert update().empty
     model.apply(update())
-    assert (content(model), model.cell_count, len(model.take_dirty())) == ({}, 0, 0)
+    assert (content(model), model.cell_count, len(model.changed_since(0))) == ({}, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -128,13 +128,19 @@ def test_digest_sees_every_part() -> None:
     assert len(digests) == 4
 
 
-def test_dirty_blocks_are_told_once() -> None:
+def test_changed_blocks_are_told_by_version() -> None:
+    def since(version: int) -> set[Cell]:
+        return {tuple(block) for block in model.changed_since(version).tolist()}
+
     model = DecodedModel(0.01)
     model.apply(update({(0, 0, 0): (1, 1, 1), (7, 7, 7): (1, 1, 1), (-1, 8, 0): (2, 2, 2), (70, 0, 0): (3, 3, 3)}))
-    assert {tuple(block) for block in model.take_dirty().tolist()} == {(0, 0, 0), (-1, 1, 0), (8, 0, 0)}
-    assert len(model.take_dirty()) == 0
+    assert since(0) == {(0, 0, 0), (-1, 1, 0), (8, 0, 0)}
+    first = model.version
+    assert since(first) == set()
     model.apply(update({}, [(70, 0, 0)], {(-1, 8, 0): (9, 9, 9)}))
-    assert {tuple(block) for block in model.take_dirty().tolist()} == {(8, 0, 0), (-1, 1, 0)}
+    assert since(first) == {(8, 0, 0), (-1, 1, 0)}
+    assert since(0) == {(0, 0, 0), (-1, 1, 0), (8, 0, 0)}
+    assert since(model.version) == set()
 
 
 def test_unknown_cells_are_equiprobable() -> None:

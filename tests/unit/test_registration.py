@@ -265,6 +265,15 @@ class TestRobustness:
         seen.depth[rng.random(seen.depth.shape) < 0.05] = 65.0
         assert_found(run(seen, draw(CAMERA, identity(), ROOM), identity()), MOTION)
 
+    def test_depth_that_fits_badly_is_not_overruled_by_luma(self, rng: np.random.Generator) -> None:
+        view = draw(CAMERA, identity(), ROOM)
+        depth = view.depth + rng.normal(size=view.depth.shape) * 5 * noise(view.depth)
+        luma = np.roll(view.intensity, 2, axis=1)
+        config = RegistrationConfig()
+        alignment = Alignment(depth.astype(np.float32), luma, None, CAMERA, view, noise, config, 1)
+        shift, _ = errors(alignment.solve(identity()).T_camera_object, identity(), (0.0, 0.0, 1.5))
+        assert shift < 6.0
+
     def test_poses_stay_rigid_over_many_predictions(self) -> None:
         start = draw(CAMERA, identity(), ROOM)
         before = previous = identity()

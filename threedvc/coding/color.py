@@ -4,16 +4,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.mixer import new_mixer
 from threedvc.coding.octree import Neighborhood, Octree, children_of
-from threedvc.coding.range_coder import RangeReader, RangeWriter, new_counters
+from threedvc.coding.range_coder import RangeCoder, new_counters
 from threedvc.errors import ConfigError, CorruptStream
 from threedvc.kernels.color_coding import COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS, Quantiser, code_colors
-from threedvc.kernels.color_transform import FRACTION_BITS, ColorLevel, from_luma_chroma, sum_children, to_luma_chroma
+from threedvc.kernels.color_transform import (
+    FRACTION_BITS,
+    MAX_VALUE,
+    ColorLevel,
+    from_luma_chroma,
+    sum_children,
+    to_luma_chroma,
+)
 from threedvc.kernels.entropy import NUMBER_COUNTERS
 from threedvc.kernels.octree import BIT_COUNTS
 
@@ -21,7 +29,7 @@ __all__ = ["ColorSettings", "code_cell_colors"]
 
 STEP_BITS = 4
 MAX_STEP = 255.0
-BYTES_PER_COEFFICIENT = 32
+BYTES_PER_COEFFICIENT = 64
 PRICE = 30
 MIDDLE_GREY = 128 << FRACTION_BITS
 
@@ -52,10 +60,10 @@ class ColorSettings:
         """Number of coded channels."""
         return 1 if self.grey else 3
 
-    def code(self, coder: RangeWriter | RangeReader) -> ColorSettings:
+    def code(self, coder: RangeCoder) -> ColorSettings:
         """Code the settings; return them as the decoder sees them."""
         counters = new_counters(NUMBER_COUNTERS)
-        grey = bool(coder.bit(self.grey))
+        grey = coder.bit(self.grey)
         luma = coder.number(round(self.luma_step * 2**STEP_BITS), counters)
         chroma = luma if grey else coder.number(round(self.chroma_step * 2**STEP_BITS), counters)
         if not (1 <= luma <= MAX_STEP * 2**STEP_BITS and 1 <= chroma <= MAX_STEP * 2**STEP_BITS):
@@ -69,7 +77,7 @@ class ColorSettings:
 
 
 class _MeanTree:
-    """Mean colours and weights of all nodes of an octree; `means[k]` belongs to the nodes of level k, the last to the cells."""
+    """Mean colours and weights of the nodes of every level of an octree, and of the cells behind them."""
 
     def __init__(self, tree: Octree, colors: NDArray[np.int16], channels: int) -> None:
         values = np.empty((len(colors), 3), dtype=np.int64)
@@ -86,7 +94,7 @@ class _MeanTree:
 
 
 def code_cell_colors(
-    coder: RangeWriter | RangeReader,
+    coder: RangeCoder,
     tree: Octree,
     colors: NDArray[np.int16],
     state: Octree,
@@ -156,7 +164,7 @@ def code_cell_colors(
 
 
 def _code_root(
-    coder: RangeWriter | RangeReader,
+    coder: RangeCoder,
     true: NDArray[np.int64],
     known: NDArray[np.int64],
     weight: int,
@@ -167,7 +175,7 @@ def _code_root(
     counters = new_counters(NUMBER_COUNTERS)
     means = np.empty_like(true)
     for channel, step in enumerate(quantiser.steps.tolist()):
-        fine = max(1, step // weight.bit_length())
-        value = round((int(true[0, channel]) - int(guess[channel])) / fine)
-        means[0, channel] = int(guess[channel]) + coder.signed(value, counters) * fine
+        fine = max(1, isqrt(step * step // weight))
+        value = coder.signed(round((int(true[0, channel]) - int(guess[channel])) / fine), counters)
+        means[0, channel] = min(max(int(guess[channel]) + value * fine, -MAX_VALUE), MAX_VALUE)
     return means

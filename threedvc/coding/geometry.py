@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.mixer import new_mixer
 from threedvc.coding.geometry_prior import geometry_prior
+from threedvc.coding.mixer import new_mixer
 from threedvc.coding.octree import Octree, TreeWalk
-from threedvc.coding.range_coder import RangeReader, RangeWriter
+from threedvc.coding.range_coder import RangeCoder
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.kernels.geometry_coding import (
     GEOMETRY_MODELS,
@@ -21,15 +21,13 @@ from threedvc.kernels.octree import BIT_COUNTS
 
 __all__ = ["MAX_CELLS", "code_new_cells", "code_subset"]
 
-MAX_CELLS = 1 << 24
+MAX_CELLS = 1 << 23
 BYTES_PER_NODE = 16
 ADDED_WEIGHTS = (0.1, 0.0, 0.6)
 SUBSET_WEIGHTS = (0.3, 0.0, 0.0)
 
 
-def code_new_cells(
-    coder: RangeWriter | RangeReader, codes: NDArray[np.int64] | None, state: Octree
-) -> NDArray[np.int64]:
+def code_new_cells(coder: RangeCoder, codes: NDArray[np.int64] | None, state: Octree) -> NDArray[np.int64]:
     """Code cells that are not in the state.
 
     Parameters
@@ -51,20 +49,20 @@ def code_new_cells(
     CorruptStream
         If what is read cannot have been written.
     LimitExceeded
-        If a level has more than 2^24 nodes.
+        If a level has more than 2^23 nodes.
     """
     return _code_tree(coder, codes, state, None, ADDED_WEIGHTS)
 
 
 def code_subset(
-    coder: RangeWriter | RangeReader, codes: NDArray[np.int64] | None, superset: Octree, side: Octree
+    coder: RangeCoder, codes: NDArray[np.int64] | None, superset: Octree, side: Octree
 ) -> NDArray[np.int64]:
     """Code some cells of a set that both sides know, with the cells of `side` as context; see `code_new_cells`."""
     return _code_tree(coder, codes, side, superset, SUBSET_WEIGHTS)
 
 
 def _code_tree(
-    coder: RangeWriter | RangeReader,
+    coder: RangeCoder,
     codes: NDArray[np.int64] | None,
     side: Octree,
     superset: Octree | None,
@@ -77,7 +75,7 @@ def _code_tree(
         masks = target.levels[number].masks.copy() if target is not None else np.zeros(len(walk.codes), dtype=np.uint8)
         coder.reserve(BYTES_PER_NODE * len(masks))
         if not code_masks(coder.coder, mixer, geometry_prior(), walk.height, masks, walk.surroundings()):
-            raise CorruptStream("the cells of a model update end too early or contradict the state; the stream is damaged")
+            raise CorruptStream("cells of a model update end too early or contradict the state; the stream is damaged")
         if int(BIT_COUNTS[masks].sum()) > MAX_CELLS:
             raise LimitExceeded(f"a model update has more than {MAX_CELLS} cells")
         walk.descend(masks)

@@ -16,9 +16,7 @@ ALL_CHILDREN = 255
 
 def _empty_level(count: int = 0) -> Level:
     """Return a level with room for `count` nodes."""
-    return Level(
-        np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint8), np.zeros(count, dtype=np.int32)
-    )
+    return Level(np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint8), np.zeros(count, dtype=np.int32))
 
 
 def children_of(level: Level) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
@@ -46,7 +44,7 @@ class Octree:
         for _ in range(depth):
             level = _empty_level(len(codes))
             count = group_children(codes, level)
-            level = Level(*(array[:count].copy() for array in level))
+            level = Level(level.codes[:count].copy(), level.masks[:count].copy(), level.first[:count].copy())
             self.levels.insert(0, level)
             codes = level.codes
 

@@ -16,7 +16,7 @@ from threedvc.pose import Pose, make_pose, quaternion
 __all__ = ["PoseCoder"]
 
 MAX_TRANSLATION_M = 1e6
-BYTES_PER_FRAME = 64
+BYTES_PER_FRAME = 320
 
 
 class PoseCoder:
@@ -71,7 +71,6 @@ class PoseCoder:
             If the payload does not hold `count` poses.
         """
         reader = RangeReader(payload)
-        reader.check_plausible(count)
         still, residuals = np.zeros(count, dtype=np.int64), np.zeros((count, 6), dtype=np.int64)
         complete = code_residuals(reader.coder, still, residuals, self._recent, self._counters)
         if not complete:

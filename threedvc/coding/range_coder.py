@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Buffers around the compiled range coder: one writes a payload, one reads it."""
+"""Buffers around the compiled range coder: one writes a payload, one reads it.
+
+Both have the same methods, so that a payload is described once: a value is passed in, and the value
+that stands in the payload comes back.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +25,12 @@ from threedvc.kernels.entropy import (
     start_writing,
 )
 
-__all__ = ["RangeReader", "RangeWriter", "new_counters"]
+__all__ = ["RangeCoder", "RangeReader", "RangeWriter", "new_counters"]
 
 SPARE_BYTES = 16
+NUMBER_BYTES = 64
 NUMBER_LIMIT = 255
 HALF = 1 << 15
-BITS_PER_BYTE_OF_DATA = 12000
 
 
 def new_counters(count: int) -> NDArray[np.uint32]:
@@ -34,77 +38,69 @@ def new_counters(count: int) -> NDArray[np.uint32]:
     return np.full(count, COUNTER_START, dtype=np.uint32)
 
 
-class RangeWriter:
-    """A growing payload. Kernels write through `coder` after `reserve`."""
+class RangeCoder:
+    """What writing and reading share.
 
-    def __init__(self) -> None:
-        self.coder = Coder(np.zeros(CODER_SIZE, dtype=np.int64), np.zeros(1024, dtype=np.uint8))
-        start_writing(self.coder)
+    Attributes
+    ----------
+    coder
+        State and bytes, for the kernels. Before a kernel writes, `reserve` makes room.
+    """
 
-    def reserve(self, count: int) -> None:
-        """Make room for `count` more bytes."""
-        missing = int(self.coder.state[POSITION]) + count + SPARE_BYTES - len(self.coder.data)
-        if missing > 0:
-            room = np.zeros(max(missing, len(self.coder.data)), dtype=np.uint8)
-            self.coder = self.coder._replace(data=np.concatenate([self.coder.data, room]))
-
-    def check(self) -> None:
-        """Do nothing: what is being written is never too short."""
-
-    def bit(self, value: int) -> int:
-        """Write one bit at the cost of one bit."""
-        self.reserve(2)
-        return int(code_bit(self.coder, value, HALF))
-
-    def number(self, value: int, counters: NDArray[np.uint32], first: int = 0) -> int:
-        """Write an integer within 0..2^31 - 2."""
-        self.reserve(64)
-        return int(code_number(self.coder, value, counters, first, NUMBER_LIMIT))
-
-    def signed(self, value: int, counters: NDArray[np.uint32], first: int = 0) -> int:
-        """Write an integer of either sign, of less than 2^31 - 1."""
-        self.reserve(64)
-        return int(code_signed(self.coder, value, counters, first, NUMBER_LIMIT))
-
-    def finish(self) -> bytes:
-        """End the payload and return it."""
-        self.reserve(8)
-        finish_writing(self.coder)
-        return self.coder.data[: self.coder.state[POSITION]].tobytes()
-
-
-class RangeReader:
-    """A payload being read, through the same calls that wrote it; values passed in are ignored."""
-
-    def __init__(self, payload: bytes) -> None:
-        data = np.frombuffer(payload, dtype=np.uint8).copy()
+    def __init__(self, data: NDArray[np.uint8]) -> None:
         self.coder = Coder(np.zeros(CODER_SIZE, dtype=np.int64), data)
-        start_reading(self.coder)
 
     def reserve(self, count: int) -> None:
-        """Do nothing: reading needs no room."""
+        """Make room for `count` more bytes; reading needs none."""
 
     def check(self) -> None:
         """Raise CorruptStream if more was read than the payload holds."""
         if overrun(self.coder):
             raise CorruptStream(f"coded payload of {len(self.coder.data)} bytes ends too early; the stream is damaged")
 
-    def check_plausible(self, bits: int) -> None:
-        """Raise CorruptStream if no payload of this length can hold so many binary decisions."""
-        if bits > (len(self.coder.data) + SPARE_BYTES) * BITS_PER_BYTE_OF_DATA:
-            raise CorruptStream(f"coded payload of {len(self.coder.data)} bytes cannot hold {bits} decisions")
+    def bit(self, value: bool) -> bool:
+        """Code one bit at the cost of one bit."""
+        self.reserve(NUMBER_BYTES)
+        return bool(code_bit(self.coder, int(value), HALF))
 
-    def bit(self, value: int = 0) -> int:
-        """Read what `RangeWriter.bit` wrote."""
-        return int(code_bit(self.coder, value, HALF))
+    def number(self, value: int, counters: NDArray[np.uint32]) -> int:
+        """Code an integer within 0..2^31 - 2."""
+        self.reserve(NUMBER_BYTES)
+        return int(code_number(self.coder, value, counters, 0, NUMBER_LIMIT))
 
-    def number(self, value: int, counters: NDArray[np.uint32], first: int = 0) -> int:
-        """Read what `RangeWriter.number` wrote."""
-        return int(code_number(self.coder, value, counters, first, NUMBER_LIMIT))
+    def signed(self, value: int, counters: NDArray[np.uint32]) -> int:
+        """Code an integer whose magnitude is below 2^31 - 1."""
+        self.reserve(NUMBER_BYTES)
+        return int(code_signed(self.coder, value, counters, 0, NUMBER_LIMIT))
 
-    def signed(self, value: int, counters: NDArray[np.uint32], first: int = 0) -> int:
-        """Read what `RangeWriter.signed` wrote."""
-        return int(code_signed(self.coder, value, counters, first, NUMBER_LIMIT))
+
+class RangeWriter(RangeCoder):
+    """A payload that grows."""
+
+    def __init__(self) -> None:
+        super().__init__(np.zeros(1024, dtype=np.uint8))
+        start_writing(self.coder)
+
+    def reserve(self, count: int) -> None:
+        """Make room for `count` more bytes."""
+        data = self.coder.data
+        missing = int(self.coder.state[POSITION]) + count + SPARE_BYTES - len(data)
+        if missing > 0:
+            room = np.zeros(max(missing, len(data)), dtype=np.uint8)
+            self.coder = self.coder._replace(data=np.concatenate([data, room]))
+
+    def finish(self) -> bytes:
+        """End the payload and return it."""
+        finish_writing(self.coder)
+        return self.coder.data[: self.coder.state[POSITION]].tobytes()
+
+
+class RangeReader(RangeCoder):
+    """A payload that is read; values passed in are of no meaning."""
+
+    def __init__(self, payload: bytes) -> None:
+        super().__init__(np.frombuffer(payload, dtype=np.uint8).copy())
+        start_reading(self.coder)
 
     def finish(self) -> None:
         """Check that the payload ends where it was read to.
@@ -116,4 +112,6 @@ class RangeReader:
         """
         self.check()
         if self.coder.state[POSITION] < len(self.coder.data):
-            raise CorruptStream(f"coded payload of {len(self.coder.data)} bytes goes on after its end; the stream is damaged")
+            raise CorruptStream(
+                f"coded payload of {len(self.coder.data)} bytes goes on after its end; the stream is damaged"
+            )

@@ -10,7 +10,7 @@ from threedvc.coding.color import ColorSettings, code_cell_colors
 from threedvc.coding.geometry import code_new_cells, code_subset
 from threedvc.coding.morton import MAX_COORDINATE, Cube, cells_of_codes, morton_codes, morton_order
 from threedvc.coding.octree import Octree
-from threedvc.coding.range_coder import RangeReader, RangeWriter, new_counters
+from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
 from threedvc.kernels.entropy import NUMBER_COUNTERS
 from threedvc.kernels.octree import COORDINATE_BITS
@@ -64,7 +64,7 @@ def decode_update(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.i
     CorruptStream
         If the payload is damaged or does not fit the state.
     LimitExceeded
-        If it holds more than 2^24 cells.
+        If it holds more than 2^23 cells.
     """
     reader = RangeReader(payload)
     update = _code_update(reader, None, cells, colors, ColorSettings())
@@ -73,7 +73,7 @@ def decode_update(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.i
 
 
 def _code_update(
-    coder: RangeWriter | RangeReader,
+    coder: RangeCoder,
     update: ModelUpdate | None,
     cells: NDArray[np.int32],
     colors: NDArray[np.int16],
@@ -82,7 +82,7 @@ def _code_update(
     """Code an update in either direction; `update` is None when reading."""
     given = update if update is not None else _update(NO_CELLS, NO_COLORS, NO_CELLS, NO_CELLS, NO_COLORS)
     has_added, has_removed, has_recolored = (
-        bool(coder.bit(len(group) > 0)) for group in (given.added, given.removed, given.recolored)
+        coder.bit(len(group) > 0) for group in (given.added, given.removed, given.recolored)
     )
     if not (has_added or has_removed or has_recolored):
         return given
@@ -132,7 +132,7 @@ def _update(
     )
 
 
-def _code_cube(coder: RangeWriter | RangeReader, added: NDArray[np.int32], cells: NDArray[np.int32]) -> Cube:
+def _code_cube(coder: RangeCoder, added: NDArray[np.int32], cells: NDArray[np.int32]) -> Cube:
     """Code the cube that holds the state and the added cells: one bit where that of the state will do."""
     own = Cube.around(cells) if len(cells) else None
     if own is not None and not coder.bit(not own.contains(added)):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
 from threedvc.kernels.color_transform import (
+    MAX_VALUE,
     ColorLevel,
     load_children,
     merge_pairs,
@@ -144,7 +145,15 @@ def choose_quantised(residual: int, step: int, log_odds: int, price: int) -> int
 
 @kernel
 def code_coefficient(
-    coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, node: int, height: int, block: Block, place: int, channel: int
+    coder: Coder,
+    mixer: Mixer,
+    quantiser: Quantiser,
+    level: ColorLevel,
+    node: int,
+    height: int,
+    block: Block,
+    place: int,
+    channel: int,
 ) -> None:
     """Code one difference of a block: set its quantised and its decoded value."""
     step = step_of_pair(quantiser.steps[channel], block.left[place], block.right[place])
@@ -167,11 +176,13 @@ def code_coefficient(
     if magnitude > 0 and code_bit(coder, 1 if value < 0 else 0, 1 << 15):
         magnitude = -magnitude
     block.quantised[place, channel] = magnitude
-    block.decoded[place, channel] = guess + magnitude * step
+    block.decoded[place, channel] = min(max(guess + magnitude * step, -2 * MAX_VALUE), 2 * MAX_VALUE)
 
 
 @kernel
-def code_block(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, node: int, height: int, block: Block) -> None:
+def code_block(
+    coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, node: int, height: int, block: Block
+) -> None:
     """Code the children of one node that has at least two."""
     channels = level.means.shape[1]
     child = level.first[node]

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
-from threedvc.kernels.octree import PARENT_OFFSET
 
 __all__ = [
     "FRACTION_BITS",
+    "MAX_VALUE",
     "ColorLevel",
     "from_luma_chroma",
     "load_children",
@@ -78,7 +78,7 @@ class ColorLevel(NamedTuple):
 
 
 def _around() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return, per child, the 8 places of its parent's level around it and their trilinear weights; and squared distances."""
+    """Return, per child, the 8 nodes about it, their trilinear weights, and the squared lengths of the 27 offsets."""
     places = np.zeros((8, 8), dtype=np.int64)
     weights = np.zeros(8, dtype=np.int64)
     for octant in range(8):

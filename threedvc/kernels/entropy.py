@@ -196,9 +196,7 @@ def adapt_counter(counters: NDArray[np.uint32], index: int, bit: int, limit: int
 
 
 @kernel
-def code_adaptive_bit(
-    coder: Coder, bit: int, counters: NDArray[np.uint32], index: int, limit: int
-) -> int:
+def code_adaptive_bit(coder: Coder, bit: int, counters: NDArray[np.uint32], index: int, limit: int) -> int:
     """Code a bit with the probability of one counter and adapt the counter."""
     bit = code_bit(coder, bit, clamp_probability(counter_probability(counters[index])))
     adapt_counter(counters, index, bit, limit)
@@ -206,9 +204,7 @@ def code_adaptive_bit(
 
 
 @kernel
-def code_number(
-    coder: Coder, value: int, counters: NDArray[np.uint32], first: int, limit: int
-) -> int:
+def code_number(coder: Coder, value: int, counters: NDArray[np.uint32], first: int, limit: int) -> int:
     """Code an integer within 0..2^31 - 2 in adaptive Exp-Golomb form with counters from `first` on.
 
     The bit length of ``value + 1`` is coded in unary, then its bits below the leading one; the
@@ -230,9 +226,7 @@ def code_number(
 
 
 @kernel
-def code_signed(
-    coder: Coder, value: int, counters: NDArray[np.uint32], first: int, limit: int
-) -> int:
+def code_signed(coder: Coder, value: int, counters: NDArray[np.uint32], first: int, limit: int) -> int:
     """Code an integer of either sign: its magnitude as `code_number`, then its sign, equiprobable."""
     magnitude = code_number(coder, abs(value), counters, first, limit)
     if magnitude == 0:

@@ -102,7 +102,9 @@ def visible_blocks(coords, count, voxel_size, T_camera_object, camera, width, he
 
 
 @kernel
-def ray_window_update(x, y, z, reading, sigma, T_object_camera, voxel_size, outlier, tables, log_odds, odds, likelihood):
+def ray_window_update(
+    x, y, z, reading, sigma, T_object_camera, voxel_size, outlier, tables, log_odds, odds, likelihood
+):
     """Return the log-odds change of the cell at (x, y, z) in camera coordinates given a reading along its ray.
 
     The sum of eq. (6) runs over the cells of the ray from the cell itself, or the front end of the

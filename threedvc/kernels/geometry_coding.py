@@ -98,6 +98,15 @@ def presence(near: NDArray[np.int32], offsets: NDArray[np.int64]) -> int:
 
 
 @kernel
+def sum_of_bits(value: int) -> int:
+    """Count the ones among the lowest 32 bits."""
+    count = np.int64(0)
+    for shift in range(0, 32, 8):
+        count += BIT_COUNTS[value >> shift & 255]
+    return count
+
+
+@kernel
 def set_contexts(
     mixer: Mixer,
     around: Surroundings,
@@ -109,7 +118,7 @@ def set_contexts(
     patch: NDArray[np.int64],
     side: NDArray[np.int64],
 ) -> None:
-    """Set the contexts of the decision whether `child` of `node` is there; `coded` are its siblings before, behind a 1."""
+    """Set the contexts of the decision whether a child is there; `coded` are the children before it, behind a 1."""
     place = CHILD_PLACE[child]
     faces = ternary(patch, place, FACES)
     edges = ternary(patch, place, EDGES)
@@ -131,7 +140,7 @@ def set_contexts(
     contexts[8] = hash_pair(hash_pair(height, ternary(side, place, FACES)), beside * 32 + occupied)
     mixer.selectors[0] = where
     mixer.selectors[1] = occupied * 3 + min(unknown, 8) // 3
-    mixer.selectors[2] = np.int64(BIT_COUNTS[nodes & 255] + BIT_COUNTS[nodes >> 8 & 255] + BIT_COUNTS[nodes >> 16 & 255] + BIT_COUNTS[nodes >> 24])
+    mixer.selectors[2] = sum_of_bits(nodes)
 
 
 @kernel

@@ -93,11 +93,12 @@ class Prior(NamedTuple):
 
 
 def _patch_tables() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return, for the 4 x 4 x 4 places about a node's children, node offset and child number; and the children's places."""
+    """Return node offset and child number of the 4 x 4 x 4 places about a node's children, and their own places."""
     places = [(p & 3, p >> 2 & 3, p >> 4) for p in range(64)]
     offsets = [sum((v + 1) // 2 * 3**a for a, v in enumerate(place)) for place in places]
     children = [sum(((v + 1) & 1) << a for a, v in enumerate(place)) for place in places]
-    return np.array(offsets), np.array(children), np.array([sum((1 + (o >> a & 1)) * 4**a for a in range(3)) for o in range(8)])
+    inner = [sum((1 + (o >> a & 1)) * 4**a for a in range(3)) for o in range(8)]
+    return np.array(offsets), np.array(children), np.array(inner)
 
 
 def _grid_mirror(side: int) -> NDArray[np.int64]:
@@ -114,8 +115,8 @@ def _wide_tables() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return, for the 5 x 5 x 5 nodes about a node, two steps within 3 x 3 x 3 that lead there."""
     places = [[p // 5**a % 5 - 2 for a in range(3)] for p in range(125)]
     steps = [[max(-1, min(1, v)) for v in place] for place in places]
-    first = [sum((s + 1) * 3**a for a, s in enumerate(step)) for step in steps]
-    second = [sum((v - s + 1) * 3**a for a, (v, s) in enumerate(zip(p, q, strict=True))) for p, q in zip(places, steps, strict=True)]
+    rests = [[v - s for v, s in zip(place, step, strict=True)] for place, step in zip(places, steps, strict=True)]
+    first, second = ([sum((s + 1) * 3**a for a, s in enumerate(step)) for step in part] for part in (steps, rests))
     return np.array(first), np.array(second)
 
 
@@ -166,7 +167,13 @@ def child_row(height: int, child: int) -> int:
 
 @kernel
 def prior_log_odds(
-    prior: Prior, height: int, child: int, siblings: int, features: NDArray[np.int64], count: int, hidden: NDArray[np.int32]
+    prior: Prior,
+    height: int,
+    child: int,
+    siblings: int,
+    features: NDArray[np.int64],
+    count: int,
+    hidden: NDArray[np.int32],
 ) -> int:
     """Return 256 times the log-odds that a child is there; `siblings` is the mask of the children before it."""
     hidden[:] = prior.biases[child_row(height, child)]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Octrees over sorted Morton codes, level by level, compiled.
 
-Nodes and children stand in Morton order (x lowest bit). Child `o` of a node lies at ``(o & 1, o >> 1 & 1, o >> 2)``. Offset number ``(dx + 1) + 3 (dy + 1) + 9 (dz + 1)``
-names one of the 27 places around and at a node.
+Nodes and children stand in Morton order (x lowest bit). Child `o` of a node lies at
+``(o & 1, o >> 1 & 1, o >> 2)``. Offset number ``(dx + 1) + 3 (dy + 1) + 9 (dz + 1)`` names one of the
+27 places around and at a node.
 """
 
 from __future__ import annotations

@@ -52,8 +52,14 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
         if front > 0.1 * radius:
             x = T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3]
             y = T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3]
-            low_x, high_x = min((x - radius) / front, (x - radius) / back), max((x + radius) / front, (x + radius) / back)
-            low_y, high_y = min((y - radius) / front, (y - radius) / back), max((y + radius) / front, (y + radius) / back)
+            low_x, high_x = (
+                min((x - radius) / front, (x - radius) / back),
+                max((x + radius) / front, (x + radius) / back),
+            )
+            low_y, high_y = (
+                min((y - radius) / front, (y - radius) / back),
+                max((y + radius) / front, (y + radius) / back),
+            )
             left = max(left, np.int64(np.floor(max(min((low_x - tile_origin[0]) / tile_size[0], 1e6), -1e6))))
             right = min(right, np.int64(np.floor(max(min((high_x - tile_origin[0]) / tile_size[0], 1e6), -1e6))))
             top = max(top, np.int64(np.floor(max(min((low_y - tile_origin[1]) / tile_size[1], 1e6), -1e6))))
@@ -119,7 +125,7 @@ def next_crossing(o, d, i):
 
 
 @kernel
-def away_from_zero(d):  # type: ignore[no-untyped-def]
+def away_from_zero(d):
     """Return a component of a direction, or a tiny one in place of nothing, which could not be divided by."""
     return d if abs(d) > 1e-9 else 1e-9
 
@@ -220,8 +226,8 @@ def cast_in_block(
 
 @kernel
 def cast_rays(
-    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, skip, state, plane,
-    colors, label, with_color, opacity, depth, color, labels,
+    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, skip, state,
+    plane, colors, label, with_color, opacity, depth, color, labels,
 ):  # fmt: skip
     """Cast rays ``order[start:stop]`` into one object and keep what is nearer than `depth` already holds.
 

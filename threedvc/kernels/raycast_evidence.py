@@ -60,7 +60,9 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
             continue
         here = np.float64(distance[cell])
         if here <= 0.0 and before < UNKNOWN and before > 0.0:
-            exact_before = interpolate(ox + t_before * dx, oy + t_before * dy, oz + t_before * dz, tables, distance, weight)
+            exact_before = interpolate(
+                ox + t_before * dx, oy + t_before * dy, oz + t_before * dz, tables, distance, weight
+            )
             exact_here = interpolate(x, y, z, tables, distance, weight)
             if exact_before < UNKNOWN and exact_here < UNKNOWN and exact_before > exact_here:
                 before, here = exact_before, exact_here
@@ -125,9 +127,9 @@ def cast_evidence(
         depth[r] = t
         scale = np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2)
         for axis in range(3):
-            normal[r, axis] = (
-                T[0, axis] * gradient[0] + T[1, axis] * gradient[1] + T[2, axis] * gradient[2]
-            ) / (length * scale)
+            normal[r, axis] = (T[0, axis] * gradient[0] + T[1, axis] * gradient[1] + T[2, axis] * gradient[2]) / (
+                length * scale
+            )
         total, luma = 0.0, 0.0
         ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
         for k in range(8):

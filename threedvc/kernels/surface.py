@@ -66,7 +66,12 @@ def count_neighbours(cells, positions, tables, flags, counts):
         counts[n] = 0
         for k in range(27):
             other = find_cell(
-                cells[n, 0] + k % 3 - 1, cells[n, 1] + k // 3 % 3 - 1, cells[n, 2] + k // 9 - 1, root_origin, root, supers
+                cells[n, 0] + k % 3 - 1,
+                cells[n, 1] + k // 3 % 3 - 1,
+                cells[n, 2] + k // 9 - 1,
+                root_origin,
+                root,
+                supers,
             )
             if k != 13 and other >= 0 and flags[other]:
                 counts[n] += 1
