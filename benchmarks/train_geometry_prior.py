@@ -24,6 +24,7 @@ from threedvc.kernels.geometry_prior import (
     CHILD_PLACE,
     FEATURES,
     HEIGHTS,
+    HIDDEN,
     MIRRORED,
     PRIOR_SCALE,
     Surroundings,
@@ -32,7 +33,6 @@ from threedvc.kernels.geometry_prior import (
 )
 
 SIDE = 96
-HIDDEN = 24
 INPUTS = FEATURES + HEIGHTS * 8
 BATCH = 2048
 RATE = 4e-3
@@ -48,9 +48,8 @@ MODULE = '''\
 
 from __future__ import annotations
 
-__all__ = ["HIDDEN", "OUTPUT_BIAS", "WEIGHTS"]
+__all__ = ["OUTPUT_BIAS", "WEIGHTS"]
 
-HIDDEN = {hidden}
 OUTPUT_BIAS = {output_bias}
 WEIGHTS = (
 {lines}
@@ -239,7 +238,7 @@ def main() -> None:
     rows, output_bias = quantised(train(inputs, outcomes, arguments.steps, rng))
     text = base64.b85encode(rows.tobytes()).decode()
     lines = "\n".join(f'    r"{text[k : k + LINE]}"' for k in range(0, len(text), LINE))
-    print(MODULE.format(hidden=HIDDEN, output_bias=output_bias, lines=lines), end="")
+    print(MODULE.format(output_bias=output_bias, lines=lines), end="")
 
 
 if __name__ == "__main__":

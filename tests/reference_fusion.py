@@ -133,7 +133,9 @@ def _pixel(camera: Camera, point: Floats) -> tuple[int, int] | None:
     return (int(v), int(u)) if inside else None
 
 
-def _in_window(model: EvidenceModel, point: Floats, reading: float, T_camera_object: Pose, sensor: SensorModel) -> float:
+def _in_window(
+    model: EvidenceModel, point: Floats, reading: float, T_camera_object: Pose, sensor: SensorModel
+) -> float:
     """Sum over the cells of the ray through a point, near the point and the reading."""
     h = model.voxel_size_m
     spread = np.sqrt(float(sensor.sigma_m(reading)) ** 2 + h**2 / 12)

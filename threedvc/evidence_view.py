@@ -19,27 +19,30 @@ from threedvc.pose import Pose
 from threedvc.ray_grid import RayGrid, cells_from_camera
 from threedvc.registration import ModelView
 
-__all__ = ["Thinned", "cast_view"]
+__all__ = ["FrameViews", "Thinned", "cast_view"]
 
 TRACKING_PIXELS = 120_000
+SMALL_OBJECT_PIXELS = 60_000
 Scalar = TypeVar("Scalar", bound=np.generic)
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
 class Thinned:
-    """A frame's depth, luma and masks at every n-th pixel, which track as well as all of them.
+    """A frame's depth, luma and masks at every n-th pixel.
 
     Parameters
     ----------
     rig
         Cameras of the frames.
+    stride
+        n; None: so that a whole picture keeps enough pixels to track as well as all of them.
     """
 
-    def __init__(self, rig: CameraRig) -> None:
+    def __init__(self, rig: CameraRig, stride: int | None = None) -> None:
         self.rig = rig
         full = rig.depth
-        self.stride = 1
-        while full.width * full.height > TRACKING_PIXELS * self.stride**2:
+        self.stride = stride or 1
+        while stride is None and full.width * full.height > TRACKING_PIXELS * self.stride**2:
             self.stride += 1
         n = self.stride
         self.camera: Camera = replace(
@@ -81,6 +84,33 @@ class Thinned:
             borderValue=float("nan"),
         )
         return np.where(valid, seen, np.float32(np.nan))
+
+
+class FrameViews:
+    """The forms of one frame that registration needs, each made when it is first asked for.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    full, thinned
+        All pixels, for small objects; every n-th, for large ones.
+    """
+
+    def __init__(self, frame: Frame, full: Thinned, thinned: Thinned) -> None:
+        self.frame = frame
+        self._full, self._thinned = full, thinned
+        self._lumas: dict[int, NDArray[np.float32]] = {}
+
+    def form(self, mask: NDArray[np.bool_]) -> Thinned:
+        """Return the form that suits an object seen at `mask` (h, w)."""
+        return self._thinned if np.count_nonzero(mask) > SMALL_OBJECT_PIXELS else self._full
+
+    def luma(self, form: Thinned) -> NDArray[np.float32]:
+        """Return the frame's luma in a form."""
+        if form.stride not in self._lumas:
+            self._lumas[form.stride] = form.luma(self.frame)
+        return self._lumas[form.stride]
 
 
 def cast_view(model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, threads: int) -> ModelView:

@@ -10,17 +10,20 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.camera import CameraRig
 from threedvc.config import Motion
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import Thinned, cast_view
+from threedvc.evidence_view import FrameViews, cast_view
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, inverse, make_pose
-from threedvc.registration import Status, register, rests
+from threedvc.registration import ModelView, Status, register, rests
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
 __all__ = ["Located", "Tracker", "known_pose", "motion_of", "refined"]
+
+SAME_SURFACE = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,42 +81,47 @@ class _Options(TypedDict):
 
 
 class Tracker:
-    """Follows one object by registration; remembers its last two poses.
+    """Follows one object by registration; remembers its last two poses and how it looked last.
+
+    Depth is registered with the model, luma with the frame before: the model's colours are as coarse as its
+    cells, and mix the shades that a turning object shows under a fixed light.
 
     Parameters
     ----------
-    thinned
-        Reduces frames for registration.
     sensor
         Noise of the depth.
     threads
         Number of threads; poses do not depend on it.
     """
 
-    def __init__(self, thinned: Thinned, sensor: SensorModel, threads: int) -> None:
-        self._thinned, self._sensor, self._threads = thinned, sensor, threads
+    def __init__(self, sensor: SensorModel, threads: int) -> None:
+        self._sensor, self._threads = sensor, threads
         self._poses: list[Pose] = []
         self._resting = False
+        self._last: tuple[int, NDArray[np.float32], NDArray[np.float32]] | None = None
 
-    def start(self, frame: Frame, mask: NDArray[np.bool_], number: int) -> Located:
+    def start(self, views: FrameViews, mask: NDArray[np.bool_], number: int, rig: CameraRig) -> Located:
         """Place the object's own frame: the camera's for the background, else the middle of what is seen."""
-        T = identity()
+        T, frame = identity(), views.frame
         if number:
             seen = mask & (frame.depth > 0)
             z = frame.depth[seen].astype(np.float64)
-            slopes = self._thinned.rig.depth.rays()[seen]
+            slopes = rig.depth.rays()[seen]
             centre = np.array([np.median(slopes[:, 0] * z), np.median(slopes[:, 1] * z), np.median(z)])
             T = make_pose(np.eye(3), centre)
         self._poses = [T]
+        self._remember(views, mask)
         return Located(T_camera_object=T, status=Status.TRACKED)
 
-    def locate(self, frame: Frame, mask: NDArray[np.bool_], model: EvidenceModel, luma: NDArray[np.float32]) -> Located:
+    def locate(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
         """Register a frame against the evidence; a lost object stays where it was."""
-        thinned, camera = self._thinned, self._thinned.camera
-        depth, mask = thinned.thin(frame.depth), thinned.thin(mask)
+        thinned = views.form(mask)
+        camera = thinned.camera
+        whole = mask
+        depth, luma, mask = thinned.thin(views.frame.depth), views.luma(thinned), thinned.thin(mask)
         last = self._poses[-1]
         guess = predict(*self._poses) if len(self._poses) > 1 else last
-        view = cast_view(model, thinned, guess, self._threads)
+        view = self._as_last_seen(cast_view(model, thinned, last, self._threads), thinned.stride)
         options = _Options(sigma_m=self._sensor.sigma_m, threads=self._threads)
         found = register_from_starts(depth, luma, mask, camera, view, guess, **options)
         if found.status is Status.LOST:
@@ -121,16 +129,28 @@ class Tracker:
         self._resting = rests(depth, luma, mask, camera, view, last, found, resting=self._resting, **options)
         pose = last if self._resting else found.T_camera_object
         self._poses = [last, pose]
+        self._remember(views, whole)
         return Located(T_camera_object=pose, status=found.status)
+
+    def _remember(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
+        form = views.form(mask)
+        depth = np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))
+        self._last = (form.stride, depth, views.luma(form))
+
+    def _as_last_seen(self, view: ModelView, stride: int) -> ModelView:
+        """Give a view from the last pose the luma that the last frame had where it showed the same surface."""
+        if self._last is None or self._last[0] != stride:
+            return view
+        _, depth, luma = self._last
+        same = (view.depth > 0) & (np.abs(depth - view.depth) < SAME_SURFACE * view.depth)
+        return replace(view, intensity=np.where(same, luma, np.float32(np.nan)))
 
 
 def refined(
     at: Located,
-    frame: Frame,
+    views: FrameViews,
     mask: NDArray[np.bool_],
-    luma: NDArray[np.float32],
     model: EvidenceModel,
-    thinned: Thinned,
     sensor: SensorModel,
     threads: int,
 ) -> Located:
@@ -138,7 +158,8 @@ def refined(
 
     The pose stays as it is unless the other fits significantly better.
     """
-    depth, mask, camera = thinned.thin(frame.depth), thinned.thin(mask), thinned.camera
+    thinned = views.form(mask)
+    depth, luma, mask, camera = thinned.thin(views.frame.depth), views.luma(thinned), thinned.thin(mask), thinned.camera
     view = cast_view(model, thinned, at.T_camera_object, threads)
     options = _Options(sigma_m=sensor.sigma_m, threads=threads)
     found = register(depth, luma, mask, camera, view, at.T_camera_object, **options)

@@ -14,6 +14,7 @@ import numpy as np
 
 from threedvc.calibration import calibrate, sighting
 from threedvc.camera import CameraRig
+from threedvc.evidence_view import FrameViews
 from threedvc.frame import Frame, FrameSequence
 from threedvc.motion import Located, refined
 from threedvc.readout import read_surface
@@ -54,9 +55,9 @@ def refined_script(
     script: dict[int, list[Located | None]] = {number: [] for number in scene.objects}
     for frame in map(scene.limited, frames):
         labels = segment(frame, scene.config.segmentation, scene.info)
-        luma = scene.thinned.luma(frame)
+        views = scene.views(frame)
         for number, item in scene.objects.items():
-            script[number].append(_refined(scene, item, frame, labels == number, luma, script[number]))
+            script[number].append(_refined(scene, item, views, labels == number, script[number]))
         if on_frame is not None:
             on_frame(frame)
     return script
@@ -65,18 +66,17 @@ def refined_script(
 def _refined(
     scene: Scene,
     item: SceneObject,
-    frame: Frame,
+    views: FrameViews,
     mask: np.ndarray[tuple[int, int], np.dtype[np.bool_]],
-    luma: np.ndarray[tuple[int, int], np.dtype[np.float32]],
     before: list[Located | None],
 ) -> Located | None:
-    at = item.found[frame.index]
+    at = item.found[views.frame.index]
     if at is None or not at.usable:
         return at
-    if frame.index and before[-1] is not None:
-        previous = item.found[frame.index - 1]
+    if views.frame.index and before[-1] is not None:
+        previous = item.found[views.frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):
             return replace(at, T_camera_object=before[-1].T_camera_object)
     if scene.is_given(item, at):
         return at
-    return refined(at, frame, mask, luma, item.evidence, scene.thinned, scene.sensor, scene.config.threads)
+    return refined(at, views, mask, item.evidence, scene.sensor, scene.config.threads)

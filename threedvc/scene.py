@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, Motion, SegmentationMode, Sensor
-from threedvc.evidence_view import Thinned
+from threedvc.evidence_view import FrameViews, Thinned
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.motion import Located, Tracker, known_pose, motion_of
@@ -67,18 +68,16 @@ class SceneObject:
         self.poses: list[Pose] = []
         self.born: int | None = None
 
-    def locate(
-        self, frame: Frame, mask: NDArray[np.bool_], luma: NDArray[np.float32] | None, alone: bool
-    ) -> Located | None:
+    def locate(self, views: FrameViews, mask: NDArray[np.bool_], rig: CameraRig, alone: bool) -> Located | None:
         """Find the object in a frame; None where it is not seen and its pose is not known."""
-        if self.tracker is None or luma is None:
-            pose = known_pose(self.number, frame, alone)
+        if self.tracker is None:
+            pose = known_pose(self.number, views.frame, alone)
             return None if pose is None else Located(T_camera_object=pose, status="known")
-        if np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
+        if np.count_nonzero(mask & (views.frame.depth > 0)) < MIN_PIXELS:
             return None
         if self.born is None:
-            return self.tracker.start(frame, mask, self.number)
-        return self.tracker.locate(frame, mask, self.evidence, luma)
+            return self.tracker.start(views, mask, self.number, rig)
+        return self.tracker.locate(views, mask, self.evidence)
 
     def record(self, frame: int, at: Located | None) -> None:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
@@ -112,7 +111,7 @@ class Scene:
         self._script = script
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
-        self.thinned = Thinned(info.rig)
+        self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
         self._sensor: SensorModel | None = None
 
@@ -137,7 +136,7 @@ class Scene:
             chosen = self.config.sensor
             self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
         sensor = self._sensor
-        luma: NDArray[np.float32] | None = None
+        views = self.views(frame)
         worst = STATUS_ORDER[0]
         for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
             mask = labels == number
@@ -147,9 +146,7 @@ class Scene:
             if self._script is not None:
                 found = self._script[number][frame.index]
             else:
-                if item.tracker is not None and luma is None:
-                    luma = self.thinned.luma(frame)
-                found = item.locate(frame, mask, luma, self._one_object)
+                found = item.locate(views, mask, self.info.rig, self._one_object)
             item.record(frame.index, found)
             if found is not None:
                 worst = max(worst, str(found.status), key=STATUS_ORDER.index)
@@ -163,13 +160,18 @@ class Scene:
         """Noise of the depth: the one asked for, or guessed from the first frame."""
         return self._sensor or SENSORS[Sensor.KINECT1]
 
+    def views(self, frame: Frame) -> FrameViews:
+        """Return the forms of a frame for registration."""
+        return FrameViews(frame, self._full, self._thinned)
+
     def is_given(self, item: SceneObject, at: Located) -> bool:
         """Tell whether a pose is to be taken as it is.
 
-        Poses of a hand-held camera come from tracking and are worth refining. Those of labelled objects are
-        made on purpose, and a background without camera poses stands still.
+        Poses of a hand-held camera are worth refining. Those of labelled objects are not: given ones are made
+        on purpose, tracked ones would follow the shades of the model's colours. A background without camera
+        poses stands still.
         """
-        return at.status == "known" and (item.number > 0 or not self.info.has_camera_poses)
+        return item.number > 0 or (at.status == "known" and not self.info.has_camera_poses)
 
     @property
     def _one_object(self) -> bool:
@@ -189,7 +191,7 @@ class Scene:
         size = self.config.voxel_size_m or default_voxel_size(frame.depth, mask, self.info)
         tracker = None
         if not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK:
-            tracker = Tracker(self.thinned, sensor, self.config.threads)
+            tracker = Tracker(sensor, self.config.threads)
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 

@@ -32,7 +32,9 @@ def turns(draw: st.DrawFn, largest: float = np.pi) -> NDArray[np.float64]:
     axis = np.array(draw(st.tuples(*[st.floats(-1, 1)] * 3)))
     length = np.linalg.norm(axis)
     axis = axis / length if length > 1e-3 else np.array([0.0, 0.0, 1.0])
-    angle = draw(st.one_of(st.floats(0, largest), st.floats(-10, 0).map(lambda power: largest * 10**power), st.just(largest)))
+    angle = draw(
+        st.one_of(st.floats(0, largest), st.floats(-10, 0).map(lambda power: largest * 10**power), st.just(largest))
+    )
     return axis * angle
 
 
@@ -68,7 +70,9 @@ def test_rotation_vectors_round_trip(vector: NDArray[np.float64]) -> None:
 
 @given(turns())
 def test_small_turns_keep_their_relative_precision(vector: NDArray[np.float64]) -> None:
-    np.testing.assert_allclose(rotation_vector(rotation_from_vector(vector * 1e-4)), vector * 1e-4, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(
+        rotation_vector(rotation_from_vector(vector * 1e-4)), vector * 1e-4, rtol=1e-9, atol=1e-18
+    )
 
 
 @given(turns(), st.floats(1e-3, 1e3), st.sampled_from([1.0, -1.0]))

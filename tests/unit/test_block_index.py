@@ -117,7 +117,7 @@ def test_storage_of_a_sparse_room_stays_small() -> None:
     index = BlockIndex()
     x, y = np.mgrid[0:60, 0:60]
     walls = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
-    index.insert(np.concatenate([walls, walls + [0, 0, 40]]).astype(np.int32))
+    index.insert(np.concatenate([walls, walls + np.array([0, 0, 40])]).astype(np.int32))
     assert index.count == 7200
     assert sum(table.nbytes for table in index.tables) + index.coords.nbytes < 100 * index.count
 

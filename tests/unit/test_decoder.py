@@ -57,7 +57,9 @@ def row_of_cells(start: int, count: int) -> NDArray[np.int32]:
 
 def changed(added: NDArray[np.int32] = NO_CELLS, removed: NDArray[np.int32] = NO_CELLS) -> ModelUpdate:
     colors = np.full((len(added), 3), 100, dtype=np.int16)
-    return ModelUpdate(added=added, added_colors=colors, removed=removed, recolored=NO_CELLS, recolored_colors=NO_COLORS)
+    return ModelUpdate(
+        added=added, added_colors=colors, removed=removed, recolored=NO_CELLS, recolored_colors=NO_COLORS
+    )
 
 
 def place(index: int, z: float = 1.0) -> Pose:
@@ -158,7 +160,11 @@ def test_frames_without_a_batch_repeat_the_last_state() -> None:
 def test_a_gap_between_poses_is_a_rest() -> None:
     # After a rest the encoder predicts no motion; a decoder that did would be off by a step of 20 mm.
     author = Author()
-    members = [author.object(0), author.poses(0, 0, [place(0), place(1), place(2)]), author.poses(0, 5, [place(2), place(3)])]
+    members = [
+        author.object(0),
+        author.poses(0, 0, [place(0), place(1), place(2)]),
+        author.poses(0, 5, [place(2), place(3)]),
+    ]
     found = states(Decoder(), [batch(0, 10, *members), author.end(10)])
     for state, index in zip(found, [0, 1, 2, 2, 2, 2, 3, 3, 3, 3], strict=True):
         assert_near(state.T_camera_object[0], place(index))
@@ -180,7 +186,10 @@ def test_nearest_multiple_rounds_halves_up(frame: int, num: int, den: int) -> No
 
 
 def test_the_report_is_gathered_wherever_it_stands() -> None:
-    told = [FrameReport(index=k, timestamp_ns=k, status=s, entropy_bits=1024.0) for k, s in enumerate(["known", "lost", "weak"])]
+    told = [
+        FrameReport(index=k, timestamp_ns=k, status=s, entropy_bits=1024.0)
+        for k, s in enumerate(["known", "lost", "weak"])
+    ]
     author = Author()
     decoder = decoded(
         batch(0, 2, author.object(0), report_packet(told[:2])), batch(2, 1, report_packet(told[2:])), author.end(3)
@@ -202,11 +211,10 @@ def test_an_unbounded_report_keeps_its_beginning(monkeypatch: pytest.MonkeyPatch
 def test_a_stream_without_end_is_truncated_after_its_frames() -> None:
     author = Author()
     packets = [batch(0, 2, author.object(0), author.model(0, 0, changed(row_of_cells(0, 4)))), batch(2, 1)]
-    decoder, count = Decoder(), 0
+    decoder, found = Decoder(), list[FrameState]()
     with pytest.raises(TruncatedStream, match="the stream ends after 3 frames, before its END packet"):
-        for _ in decoder.frames([STREAM.packet(), *packets]):
-            count += 1
-    assert (count, decoder.complete, decoder.models[0].cell_count) == (3, False, 4)
+        found.extend(decoder.frames([STREAM.packet(), *packets]))
+    assert (len(found), decoder.complete, decoder.models[0].cell_count) == (3, False, 4)
 
 
 def test_unknown_ancillary_packets_are_passed_over() -> None:
@@ -235,25 +243,40 @@ def contradictions() -> dict[str, tuple[list[Packet], str]]:
             [start, batch(3, 1, PoseHeader(object_id=7, frame=3).packet(b""))],
             "names object 7, which was not introduced",
         ),
-        "model outside the batch": ([start, batch(5, 1, ModelHeader(frame=3).packet())], "frame 3 stands in the BATCH of frames 5..5"),
+        "model outside the batch": (
+            [start, batch(5, 1, ModelHeader(frame=3).packet())],
+            "frame 3 stands in the BATCH of frames 5..5",
+        ),
         "pose outside the batch": ([start, batch(3, 3, poses)], "frame 6 stands in the BATCH of frames 3..5"),
         "clock outside the batch": (
             [start, batch(3, 1, ClockHeader(frame=3, count=2).packet(b"\0\0"))],
             "frame 4 stands in the BATCH of frames 3..3",
         ),
-        "clock too short": ([start, batch(3, 2, ClockHeader(frame=3, count=2).packet(b"\0"))], "1 bytes are wanted at byte 1"),
-        "clock too long": ([start, batch(3, 1, ClockHeader(frame=3).packet(b"\0\0"))], "1 bytes follow the corrections of CLOCK"),
+        "clock too short": (
+            [start, batch(3, 2, ClockHeader(frame=3, count=2).packet(b"\0"))],
+            "1 bytes are wanted at byte 1",
+        ),
+        "clock too long": (
+            [start, batch(3, 1, ClockHeader(frame=3).packet(b"\0\0"))],
+            "1 bytes follow the corrections of CLOCK",
+        ),
         "clock goes back": (
             [start, batch(3, 2, ClockHeader(frame=4).packet(b"\0"), ClockHeader(frame=3).packet(b"\0"))],
             "a CLOCK from frame 3 on follows one up to frame 4",
         ),
         "end too early": ([start, author.end(2)], "END tells of 2 frames, the stream conveyed 3"),
-        "wrong digest": ([start, EndHeader(frames=3, digest=bytes(16)).packet()], "digest of the decoded models differs"),
+        "wrong digest": (
+            [start, EndHeader(frames=3, digest=bytes(16)).packet()],
+            "digest of the decoded models differs",
+        ),
         "damaged update": ([start, batch(3, 1, ModelHeader(frame=3).packet(b"\xff" * 9))], "payload"),
         "damaged poses": ([start, batch(3, 1, PoseHeader(frame=3).packet(b"\xff" * 99))], "payload"),
         "MODEL outside a batch": ([start, ModelHeader(frame=3).packet()], "MODEL stands outside a BATCH"),
-        "OBJECT outside a batch": ([ObjectHeader(object_id=0, voxel_size_m=1).packet()], "OBJECT stands outside a BATCH"),
-    }  # fmt: skip
+        "OBJECT outside a batch": (
+            [ObjectHeader(object_id=0, voxel_size_m=1).packet()],
+            "OBJECT stands outside a BATCH",
+        ),
+    }
 
 
 @pytest.mark.parametrize("case", contradictions())
@@ -286,11 +309,10 @@ def test_nothing_can_come_before_stream() -> None:
 
 def test_the_wrong_digest_comes_after_every_frame() -> None:
     _, start = one_object()
-    decoder, count = Decoder(), 0
+    decoder, found = Decoder(), list[FrameState]()
     with pytest.raises(CorruptStream, match="digest"):
-        for _ in decoder.frames([STREAM.packet(), start, EndHeader(frames=5, digest=bytes(16)).packet()]):
-            count += 1
-    assert (count, decoder.complete) == (5, False)
+        found.extend(decoder.frames([STREAM.packet(), start, EndHeader(frames=5, digest=bytes(16)).packet()]))
+    assert (len(found), decoder.complete) == (5, False)
 
 
 @pytest.mark.parametrize("frame", [3 + MAX_COUNT + 1, MAX_FRAME])
@@ -298,9 +320,10 @@ def test_endless_rests_are_refused(frame: int) -> None:
     author, start = one_object()
     for packet in (batch(frame, 1), author.end(frame)):
         decoder = Decoder()
-        with pytest.raises(LimitExceeded, match=f"frame {frame} .* 3 frames, at most {MAX_COUNT} may pass|{frame} frames"):
-            for _ in decoder.frames([STREAM.packet(), start, packet]):
-                pass
+        with pytest.raises(
+            LimitExceeded, match=f"frame {frame} .* 3 frames, at most {MAX_COUNT} may pass|{frame} frames"
+        ):
+            list(decoder.frames([STREAM.packet(), start, packet]))
         assert decoder.frame_count == 3
 
 
@@ -314,7 +337,10 @@ def test_poses_of_a_batch_are_limited_before_memory_is_taken() -> None:
     author = Author()
     members = []
     for number in range(3):
-        members += [author.object(number), PoseHeader(object_id=number, frame=0, count=MAX_COUNT // 2).packet(bytes(200))]
+        members += [
+            author.object(number),
+            PoseHeader(object_id=number, frame=0, count=MAX_COUNT // 2).packet(bytes(200)),
+        ]
     packet = batch(0, MAX_COUNT, *members)
     tracemalloc.start()
     try:
@@ -352,4 +378,14 @@ def test_the_digest_depends_on_numbers_and_not_on_order() -> None:
         author.model(number, 0, changed(row_of_cells(number, 5)))
     one, two = author.models[1], author.models[2]
     assert models_digest({1: one, 2: two}) == models_digest({2: two, 1: one})
-    assert len({models_digest({1: one, 2: two}), models_digest({1: two, 2: one}), models_digest({1: one}), models_digest({})}) == 4
+    assert (
+        len(
+            {
+                models_digest({1: one, 2: two}),
+                models_digest({1: two, 2: one}),
+                models_digest({1: one}),
+                models_digest({}),
+            }
+        )
+        == 4
+    )

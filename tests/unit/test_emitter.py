@@ -30,11 +30,15 @@ START_NS = 1_700_000_000_000_000_000
 Script = Sequence[Pose]
 
 
-def scene_of(scripts: dict[int, Script], times: Sequence[int] | None = None, born: dict[int, int] | None = None) -> Scene:
+def scene_of(
+    scripts: dict[int, Script], times: Sequence[int] | None = None, born: dict[int, int] | None = None
+) -> Scene:
     """Return what the emitter asks of a scene: scripts, empty models, times."""
     frames = len(next(iter(scripts.values())))
     objects = {
-        number: SimpleNamespace(number=number, poses=list(script), born=(born or {}).get(number, 0), evidence=EvidenceModel(0.01))
+        number: SimpleNamespace(
+            number=number, poses=list(script), born=(born or {}).get(number, 0), evidence=EvidenceModel(0.01)
+        )
         for number, script in scripts.items()
     }
     times = [START_NS + round(frame * 1e9 / 30) for frame in range(frames)] if times is None else times
@@ -57,7 +61,9 @@ def members(packets: Sequence[Packet], kind: PacketType) -> Iterator[Packet]:
 def posed_frames(packets: Sequence[Packet], number: int) -> list[int]:
     """Return the frames in which the stream carries a pose of an object."""
     headers = [PoseHeader.from_map(packet.header) for packet in members(packets, PacketType.POSE)]
-    return [frame for head in headers if head.object_id == number for frame in range(head.frame, head.frame + head.count)]
+    return [
+        frame for head in headers if head.object_id == number for frame in range(head.frame, head.frame + head.count)
+    ]
 
 
 def decoded(packets: Sequence[Packet]) -> list[FrameState]:
@@ -73,7 +79,9 @@ def still(frames: int, pose: Pose | None = None) -> list[Pose]:
 
 
 def walk(frames: int, speed: float = 0.01) -> list[Pose]:
-    return [place((0, speed * k, 0.3 * np.sin(speed * k)), (speed * k, 0, 1 - speed * k * k / 50)) for k in range(frames)]
+    return [
+        place((0, speed * k, 0.3 * np.sin(speed * k)), (speed * k, 0, 1 - speed * k * k / 50)) for k in range(frames)
+    ]
 
 
 def assert_follows(states: Sequence[FrameState], scripts: dict[int, Script]) -> None:
@@ -84,7 +92,10 @@ def assert_follows(states: Sequence[FrameState], scripts: dict[int, Script]) -> 
             limit = 1 if number == 0 else 2
             reach = np.linalg.norm(script[state.index][:3, 3])
             assert rotation_angle(error) < 2.5 * limit * STEPS.rotation_step_rad
-            assert np.abs(error[:3, 3]).max() < 2 * limit * STEPS.translation_step_m + 3 * limit * STEPS.rotation_step_rad * reach
+            assert (
+                np.abs(error[:3, 3]).max()
+                < 2 * limit * STEPS.translation_step_m + 3 * limit * STEPS.rotation_step_rad * reach
+            )
 
 
 @pytest.mark.parametrize("group", [1, 7, 40, 100])
@@ -228,6 +239,8 @@ def test_reports_travel_with_the_batch() -> None:
 def test_the_nominal_clock_is_that_of_the_frame_rate(fps: float) -> None:
     scene = scene_of({0: still(1000)}, [0] * 1000)
     scene.info = SequenceInfo(name="clock", rig=RIG, depth_scale=1000.0, fps=fps, frame_count=None)
-    times = [state.timestamp_ns for state in decoded([Emitter(scene, EncoderConfig()).stream(), Emitter(scene, EncoderConfig()).end()])]
+    times = [
+        state.timestamp_ns
+        for state in decoded([Emitter(scene, EncoderConfig()).stream(), Emitter(scene, EncoderConfig()).end()])
+    ]
     np.testing.assert_allclose(np.diff(times), 1e9 / fps, atol=1, rtol=1e-6)
-

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,7 +18,16 @@ from threedvc.decoder import Decoder, FrameState, models_digest
 from threedvc.encoder import Encoder, verified
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.frame import Frame
-from threedvc.packets import BatchHeader, EndHeader, ModelHeader, Packet, PacketType, PoseHeader, StreamHeader, unpack_batch
+from threedvc.packets import (
+    BatchHeader,
+    EndHeader,
+    ModelHeader,
+    Packet,
+    PacketType,
+    PoseHeader,
+    StreamHeader,
+    unpack_batch,
+)
 from threedvc.pose import compose, inverse, make_pose, rotation_angle
 from threedvc.report import FrameReport
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -153,9 +163,7 @@ def test_model_cells_lie_on_the_surface(causal: bool) -> None:
 def repeated(sequence: ListSequence, index: int, count: int) -> ListSequence:
     """Return a sequence that goes up to a frame and shows it `count` more times."""
     last, period = sequence[index], 1e9 / sequence.info.fps
-    more = [
-        replace(last, index=index + k, timestamp_ns=round((index + k) * period)) for k in range(1, count + 1)
-    ]
+    more = [replace(last, index=index + k, timestamp_ns=round((index + k) * period)) for k in range(1, count + 1)]
     return ListSequence([*sequence.frames[: index + 1], *more], replace(sequence.info, frame_count=index + 1 + count))
 
 
@@ -195,7 +203,7 @@ def test_live_a_standing_picture_settles() -> None:
         cells, colors = decoder.models[0].cells()
         contents.append(dict(zip(map(tuple, cells.tolist()), map(tuple, colors.tolist()), strict=True)))
     # Confidence grows from frame to frame, but nothing is sent twice.
-    for before, after in zip(contents, contents[1:], strict=False):
+    for before, after in pairwise(contents):
         assert before.items() <= after.items()
     assert len(contents[15]) > 0.98 * len(contents[-1])
 
@@ -338,7 +346,9 @@ def test_no_depth_at_all() -> None:
 def test_known_motion_needs_poses() -> None:
     sequence = scene("room", 2)
     info = replace(sequence.info, has_camera_poses=False)
-    with pytest.raises(ConfigError, match=r"room has no poses for object 0; give poses.txt or .*, or use --motion track"):
+    with pytest.raises(
+        ConfigError, match=r"room has no poses for object 0; give poses.txt or .*, or use --motion track"
+    ):
         list(Encoder(info, config()).packets(sequence))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from threedvc.config import FusionConfig, Motion, Sensor
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import Thinned
+from threedvc.evidence_view import FrameViews, Thinned
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.fusion import fuse, observe
 from threedvc.motion import Located, Tracker, known_pose, motion_of
@@ -40,7 +40,9 @@ def info(*, camera: bool, objects: bool) -> SequenceInfo:
         (2, False, False, Motion.TRACK),
     ],
 )
-def test_automatic_motion_takes_the_poses_that_there_are(number: int, camera: bool, objects: bool, expected: Motion) -> None:
+def test_automatic_motion_takes_the_poses_that_there_are(
+    number: int, camera: bool, objects: bool, expected: Motion
+) -> None:
     given = info(camera=camera, objects=objects)
     assert motion_of(number, given, Motion.AUTO) is expected
     assert motion_of(number, given, Motion.TRACK) is Motion.TRACK
@@ -54,7 +56,12 @@ def test_automatic_motion_takes_the_poses_that_there_are(number: int, camera: bo
 def frame_with(poses: dict[int, np.ndarray], camera: np.ndarray | None = None) -> Frame:
     empty = np.zeros((2, 2), dtype=np.float32)
     return Frame(
-        index=0, timestamp_ns=0, color=np.zeros((2, 2, 3), dtype=np.uint8), depth=empty, T_world_camera=camera, T_camera_object=poses
+        index=0,
+        timestamp_ns=0,
+        color=np.zeros((2, 2, 3), dtype=np.uint8),
+        depth=empty,
+        T_world_camera=camera,
+        T_camera_object=poses,
     )
 
 
@@ -86,18 +93,18 @@ class Follower:
 
     def __init__(self) -> None:
         self.rig = ROOM.info.rig
-        self.thinned = Thinned(self.rig)
-        self.tracker = Tracker(self.thinned, IDEAL, 1)
+        self.full = Thinned(self.rig, 1)
+        self.tracker = Tracker(IDEAL, 1)
         self.model = EvidenceModel(0.04)
         self.mask = np.ones((72, 96), dtype=bool)
 
     def start(self, frame: Frame, number: int = 0) -> Located:
-        found = self.tracker.start(frame, self.mask, number)
+        found = self.tracker.start(frame, self.mask, number, self.rig)
         self.fuse(frame, found)
         return found
 
     def follow(self, frame: Frame) -> Located:
-        found = self.tracker.locate(frame, self.mask, self.model, self.thinned.luma(frame))
+        found = self.tracker.locate(FrameViews(frame, self.full, self.full), self.mask, self.model)
         if found.usable:
             self.fuse(frame, found)
         return found

@@ -80,7 +80,14 @@ def test_an_empty_update_changes_nothing() -> None:
         update(recolored={(1, 2, 4): (0, 0, 0)}),
         update(recolored={(-500, 2, 4): (0, 0, 0)}),
     ],
-    ids=["added twice", "one of two added twice", "removed empty", "removed absent", "recoloured empty", "recoloured absent"],
+    ids=[
+        "added twice",
+        "one of two added twice",
+        "removed empty",
+        "removed absent",
+        "recoloured empty",
+        "recoloured absent",
+    ],
 )
 def test_an_update_that_does_not_fit_leaves_the_model(wrong: ModelUpdate) -> None:
     model = DecodedModel(0.01)
@@ -112,7 +119,7 @@ def test_digest_knows_no_history(rng: np.random.Generator) -> None:
     colors = random_colors(rng, random_cells(rng, 60))
     at_once, in_steps = DecodedModel(0.01), DecodedModel(0.01)
     at_once.apply(update(colors))
-    for cell in reversed(sorted(colors)):
+    for cell in sorted(colors, reverse=True):
         in_steps.apply(update({cell: (0, 0, 0), (90, 90, 90): (1, 1, 1)}))
         in_steps.apply(update({}, [(90, 90, 90)], {cell: colors[cell]}))
     assert in_steps.digest() == at_once.digest()

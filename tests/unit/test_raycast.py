@@ -82,7 +82,9 @@ SHAPES = {"ball": ball, "box": box, "tube": tube}
 def test_rays_stop_at_the_first_occupied_cell(shape: str, view: str, camera: Camera) -> None:
     model, pose = model_of_shape(SHAPES[shape], CELL, 0.45), VIEWS[view]
     depth, away = drawn(ready(model), pose, camera).depth, pose[2, 3]
-    expected = first_occupied(model, camera.rays().reshape(-1, 2), pose, max(away - 0.7, 0.05), away + 0.7).reshape(depth.shape)
+    expected = first_occupied(model, camera.rays().reshape(-1, 2), pose, max(away - 0.7, 0.05), away + 0.7).reshape(
+        depth.shape
+    )
     inner = inside_of(expected)
     assert np.mean(depth[inner] > 0) > 0.995
     # Rays that graze the shell stop up to a few cells behind the corner of the first cell, and do not leak.
@@ -147,7 +149,9 @@ def test_a_camera_inside_sees_the_inside() -> None:
     np.testing.assert_allclose(depth * np.sqrt((slopes**2).sum(axis=-1) + 1), RADIUS, atol=0.8 * CELL)
 
 
-@pytest.mark.parametrize("pose", [turned(0, 0, 0, away=-1.2), make_pose(np.eye(3), np.array([4.0, 0, 1]))], ids=["behind", "beside"])
+@pytest.mark.parametrize(
+    "pose", [turned(0, 0, 0, away=-1.2), make_pose(np.eye(3), np.array([4.0, 0, 1]))], ids=["behind", "beside"]
+)
 def test_nothing_out_of_sight_is_drawn(pose: Pose) -> None:
     picture = drawn(ready(model_of_shape(ball, CELL, 0.45)), pose)
     assert not picture.depth.any()

@@ -44,7 +44,13 @@ def frame(index: int, *, boxed: bool = True, pose: Pose | None = None, wall: flo
     color = np.full((36, 48, 3), 90, dtype=np.uint8)
     poses = {3: shifted(0, 0.9) if pose is None else pose} if boxed else {}
     return Frame(
-        index=index, timestamp_ns=index, color=color, depth=depth, mask=mask, T_world_camera=identity(), T_camera_object=poses
+        index=index,
+        timestamp_ns=index,
+        color=color,
+        depth=depth,
+        mask=mask,
+        T_world_camera=identity(),
+        T_camera_object=poses,
     )
 
 
@@ -75,7 +81,9 @@ def test_an_object_has_its_own_model() -> None:
         scene.add(frame(index))
     box, wall = scene.objects[3].evidence, scene.objects[0].evidence
     occupied = [
-        model.index.coords[np.flatnonzero((model.log_odds[: model.index.count] > 1).any(axis=1))] * 8 * model.voxel_size_m
+        model.index.coords[np.flatnonzero((model.log_odds[: model.index.count] > 1).any(axis=1))]
+        * 8
+        * model.voxel_size_m
         for model in (box, wall)
     ]
     # The box's frame has its origin in the box, the wall's in the camera.
@@ -105,7 +113,9 @@ def test_what_was_never_found_stands_at_the_origin() -> None:
 def test_the_worst_status_of_a_frame_is_told() -> None:
     script = {
         0: [Located(T_camera_object=identity(), status=status) for status in ("known", "tracked", "tracked", "weak")],
-        3: [Located(T_camera_object=shifted(0, 0.9), status=status) for status in ("known", "known", "lost", "tracked")],
+        3: [
+            Located(T_camera_object=shifted(0, 0.9), status=status) for status in ("known", "known", "lost", "tracked")
+        ],
     }
     scene = Scene(INFO, config(), script)
     assert [scene.add(frame(index)) for index in range(4)] == ["known", "tracked", "lost", "weak"]
@@ -147,12 +157,21 @@ def test_a_depth_limit_cuts_what_is_beyond() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"depth": np.zeros((36, 47), dtype=np.float32)}, r"wall: frame 2 has depth of shape \(36, 47\), its camera asks for \(36, 48\)"),
-        ({"color": np.zeros((35, 48, 3), dtype=np.uint8)}, r"colour of shape \(35, 48, 3\), its camera asks for \(36, 48, 3\)"),
+        (
+            {"depth": np.zeros((36, 47), dtype=np.float32)},
+            r"wall: frame 2 has depth of shape \(36, 47\), its camera asks for \(36, 48\)",
+        ),
+        (
+            {"color": np.zeros((35, 48, 3), dtype=np.uint8)},
+            r"colour of shape \(35, 48, 3\), its camera asks for \(36, 48, 3\)",
+        ),
         ({"color": np.zeros((36, 48), dtype=np.uint8)}, r"wall: frame 2 has colour of shape \(36, 48\), its"),
         ({"mask": np.zeros((18, 24), dtype=np.uint8)}, r"wall: mask of frame 2 has 24x18 pixels, its depth 48x36"),
         ({"T_world_camera": np.full((4, 4), np.nan)}, r"wall: frame 2 has a camera pose that is not a rigid transform"),
-        ({"T_camera_object": {3: np.zeros((4, 4))}}, r"wall: frame 2 has a pose of object 3 that is not a rigid transform"),
+        (
+            {"T_camera_object": {3: np.zeros((4, 4))}},
+            r"wall: frame 2 has a pose of object 3 that is not a rigid transform",
+        ),
     ],
 )
 def test_frames_that_do_not_fit_are_refused(changes: dict[str, object], message: str) -> None:

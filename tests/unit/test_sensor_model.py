@@ -41,7 +41,8 @@ def test_presets_say_what_is_known_of_the_sensors() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"s0_m": -1e-6}, {"s1": -1.0}, {"s2_per_m": -1.0}, {"quantum_per_m": -1.0}, {"outlier": 0.0}, {"outlier": 1.0}]
+    "changes",
+    [{"s0_m": -1e-6}, {"s1": -1.0}, {"s2_per_m": -1.0}, {"quantum_per_m": -1.0}, {"outlier": 0.0}, {"outlier": 1.0}],
 )
 def test_impossible_models(changes: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=r"sensor model .* must have non-negative deviations and an outlier weight"):

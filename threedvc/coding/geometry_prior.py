@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from threedvc.coding.prior_weights import HIDDEN, OUTPUT_BIAS, WEIGHTS
-from threedvc.kernels.geometry_prior import FEATURES, Prior
+from threedvc.coding.prior_weights import OUTPUT_BIAS, WEIGHTS
+from threedvc.kernels.geometry_prior import FEATURES, HIDDEN, Prior
 
 __all__ = ["geometry_prior"]
 

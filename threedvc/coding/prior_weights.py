@@ -6,9 +6,8 @@
 
 from __future__ import annotations
 
-__all__ = ["HIDDEN", "OUTPUT_BIAS", "WEIGHTS"]
+__all__ = ["OUTPUT_BIAS", "WEIGHTS"]
 
-HIDDEN = 24
 OUTPUT_BIAS = 1220
 WEIGHTS = (
     r"0t)^K00{p5{Qds_`U3v-0ss5}0RsC00|5R92MPfD2>Sc>`~U^;`~mw7`U&*`1_S*80RsF4`uhO=0RsgG`vLR@`3e6A3i<^I{{jaA0RRK}1OWy6"

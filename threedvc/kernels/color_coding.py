@@ -23,15 +23,17 @@ from threedvc.kernels.color_transform import (
     step_of_pair,
     store_children,
 )
-from threedvc.kernels.entropy import NUMBER_COUNTERS, READING, Coder, code_bit, code_number, overrun
+from threedvc.kernels.entropy import NUMBER_COUNTERS, READING, Coder, code_adaptive_bit, code_number, overrun
 from threedvc.kernels.mixing import Mixer, code_mixed_bit, hash_pair, mixed_log_odds, squash
 
-__all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "Quantiser", "code_colors"]
+__all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "SIGN_COUNTERS", "Quantiser", "code_colors"]
 
 COLOR_MODELS = 7
 COLOR_SETS = 2
 COLOR_WEIGHT_ROWS = 128
 ESCAPE_MAGNITUDE = 6
+DAMPING = 236
+SIGN_COUNTERS = 3 * 3 * 4 * 9
 MAX_ENERGY = 1000
 MAX_QUANTISED = 1 << 22
 NUMBER_LIMIT = 255
@@ -48,11 +50,14 @@ class Quantiser(NamedTuple):
         The writer's price of a bit, in units of step^2 / 256.
     counters
         (channels * NUMBER_COUNTERS,) uint32 for large magnitudes.
+    signs
+        (SIGN_COUNTERS,) uint32.
     """
 
     steps: NDArray[np.int64]
     price: int
     counters: NDArray[np.uint32]
+    signs: NDArray[np.uint32]
 
 
 class Block(NamedTuple):
@@ -144,6 +149,25 @@ def choose_quantised(residual: int, step: int, log_odds: int, price: int) -> int
 
 
 @kernel
+def sign_class(value: int) -> int:
+    """Return 0 for zero, 1 for positive, 2 for negative numbers."""
+    if value == 0:
+        return 0
+    return 1 if value > 0 else 2
+
+
+@kernel
+def code_sign(
+    coder: Coder, quantiser: Quantiser, block: Block, place: int, channel: int, value: int, guess: int, slope: int
+) -> int:
+    """Code whether a coefficient is negative, given the signs of its prediction and of the channels before."""
+    luma = sign_class(block.quantised[place, 0]) if channel > 0 else 0
+    chroma = sign_class(block.quantised[place, 1]) if channel > 1 else 0
+    context = ((channel * 3 + sign_class(guess)) * 4 + min(slope, 3)) * 9 + luma * 3 + chroma
+    return code_adaptive_bit(coder, 1 if value < 0 else 0, quantiser.signs, context, NUMBER_LIMIT)
+
+
+@kernel
 def code_coefficient(
     coder: Coder,
     mixer: Mixer,
@@ -157,7 +181,7 @@ def code_coefficient(
 ) -> None:
     """Code one difference of a block: set its quantised and its decoded value."""
     step = step_of_pair(quantiser.steps[channel], block.left[place], block.right[place])
-    guess = block.predicted[place, channel]
+    guess = block.predicted[place, channel] * DAMPING >> 8
     slope = min(4 * abs(guess) // step, 15)
     around = energy_around(level, node, channel)
     value = np.int64(0)
@@ -173,7 +197,7 @@ def code_coefficient(
     if magnitude == ESCAPE_MAGNITUDE:
         rest = code_number(coder, abs(value) - magnitude, quantiser.counters, channel * NUMBER_COUNTERS, NUMBER_LIMIT)
         magnitude += min(rest, MAX_QUANTISED)
-    if magnitude > 0 and code_bit(coder, 1 if value < 0 else 0, 1 << 15):
+    if magnitude > 0 and code_sign(coder, quantiser, block, place, channel, value, guess, slope):
         magnitude = -magnitude
     block.quantised[place, channel] = magnitude
     block.decoded[place, channel] = min(max(guess + magnitude * step, -2 * MAX_VALUE), 2 * MAX_VALUE)

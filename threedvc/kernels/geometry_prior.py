@@ -6,9 +6,9 @@ common: it was trained on random synthetic surfaces (benchmarks/train_geometry_p
 layer, inputs zero or one, integers only.
 
 Inputs are the active ones of `FEATURES`: occupied places of the 4 x 4 x 4 about a node's children;
-nodes around the node, at distance up to two; those of the nearest 27 whose children are not coded
-yet; places and nodes of the other tree. Everything is mirrored so that the child lies towards
-positive x, y and z.
+nodes around the node, at distance up to two (at two only where one leads there); those of the nearest
+27 whose children are not coded yet; places and nodes of the other tree. Everything is mirrored so
+that the child lies towards positive x, y and z.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from threedvc.kernels import kernel
 __all__ = [
     "FEATURES",
     "HEIGHTS",
+    "HIDDEN",
     "PATCH_CHILD",
     "PATCH_OFFSET",
     "PRIOR_SCALE",
@@ -40,6 +41,7 @@ SIDE_PLACES = UNCODED + 27
 SIDE_NODES = SIDE_PLACES + 64
 FEATURES = SIDE_NODES + 27
 HEIGHTS = 4
+HIDDEN = 24
 PRIOR_SCALE = 64
 OUTPUT_SHIFT = 4
 OUTPUT_LIMIT = 2047
@@ -77,11 +79,11 @@ class Prior(NamedTuple):
     Attributes
     ----------
     inputs
-        (FEATURES, hidden) int32 weights of the inputs.
+        (FEATURES, HIDDEN) int32 weights of the inputs.
     biases
-        (HEIGHTS * 8, hidden) int32 biases by height and child number.
+        (HEIGHTS * 8, HIDDEN) int32 biases by height and child number.
     outputs
-        (hidden,) int32 weights of the hidden units.
+        (HIDDEN,) int32 weights of the hidden units.
     output_bias
         Constant.
     """
@@ -179,14 +181,14 @@ def prior_log_odds(
     hidden[:] = prior.biases[child_row(height, child)]
     for k in range(count):
         row = prior.inputs[MIRRORED[child, features[k]]]
-        for u in range(len(hidden)):
+        for u in range(HIDDEN):
             hidden[u] += row[u]
     for sibling in range(child):
         if siblings >> sibling & 1:
             row = prior.inputs[MIRRORED[child, OWN_PLACES + CHILD_PLACE[sibling]]]
-            for u in range(len(hidden)):
+            for u in range(HIDDEN):
                 hidden[u] += row[u]
     total = np.int64(prior.output_bias)
-    for u in range(len(hidden)):
+    for u in range(HIDDEN):
         total += max(hidden[u], 0) * prior.outputs[u]
     return min(max(total >> OUTPUT_SHIFT, -OUTPUT_LIMIT), OUTPUT_LIMIT)
