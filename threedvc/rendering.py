@@ -60,7 +60,7 @@ class RenderModel:
         self.model = model
         self.index = BlockIndex()
         self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
-        self.state = np.zeros((0, BORDERED_CELLS), dtype=np.uint8)
+        self.corners = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
         self.color = np.zeros((0, BORDERED_CELLS, 3), dtype=np.int16)
         self._planes = np.zeros((0, BLOCK_CELLS, 4), dtype=np.int8)
@@ -96,7 +96,7 @@ class RenderModel:
 
     def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
         skip = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
-        state = np.empty((len(blocks), BORDERED_CELLS), dtype=np.uint8)
+        corners = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
         plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
         color = np.empty((len(blocks), BORDERED_CELLS, 3), dtype=np.int16)
         targets = np.arange(len(blocks))
@@ -105,7 +105,7 @@ class RenderModel:
         def block_range(start: int, stop: int) -> None:
             build_block(
                 targets, blocks, start, stop, model.index.tables, model.occupied, self._planes, model.color, skip,
-                state, plane, color,
+                corners, plane, color,
             )  # fmt: skip
 
         for_ranges(block_range, len(blocks), threads)
@@ -113,14 +113,14 @@ class RenderModel:
         self.index.insert(blocks[keep])
         self._grow()
         slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
-        self.skip[slots], self.state[slots] = skip[keep], state[keep]
+        self.skip[slots], self.corners[slots] = skip[keep], corners[keep]
         self.plane[slots], self.color[slots] = plane[keep], color[keep]
 
     def _grow(self) -> None:
         more = max(self.index.count, len(self.skip) * 3 // 2) - len(self.skip)
         if self.index.count <= len(self.skip):
             return
-        for name in ("skip", "state", "plane", "color"):
+        for name in ("skip", "corners", "plane", "color"):
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
 
@@ -229,7 +229,7 @@ class Renderer:
             def ray_range(start: int, stop: int) -> None:
                 cast_rays(
                     rays.slopes, order, start, stop, T_cells_camera, rays.origin, rays.size, near, far,
-                    model.index.coords, model.index.tables, model.skip, model.state, model.plane, model.color, number,
+                    model.index.coords, model.index.tables, model.skip, model.corners, model.plane, model.color, number,
                     with_color, OPACITY, depth, color, labels,
                 )  # fmt: skip
 

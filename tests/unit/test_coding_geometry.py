@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from reference_coding import Cell, around, morton_code, nodes_at
 
+from reference_coding import Cell, around, morton_code, nodes_at
 from threedvc.coding.geometry import code_new_cells, code_subset
 from threedvc.coding.geometry_prior import geometry_prior
 from threedvc.coding.morton import cells_of_codes, morton_codes

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from reference_coding import Cell, around, morton_code, nodes_at
 
+from reference_coding import Cell, around, morton_code, nodes_at
 from threedvc.coding.morton import Cube, cells_of_codes, morton_codes, morton_order
 from threedvc.coding.octree import Octree, TreeWalk
 
@@ -73,25 +73,22 @@ def test_walk_finds_all_places_around_every_node(rng: np.random.Generator, same:
     assert np.array_equal(walk.codes, tree.codes)
 
 
+def leaf_allowed(walk: TreeWalk, tree: Octree) -> set[Cell]:
+    """Return the cells that a walk allows below the leaf nodes of a tree."""
+    for level in tree.levels[:-1]:
+        assert np.all(level.masks & ~walk.surroundings().allowed == 0)
+        walk.descend(level.masks)
+    codes = [8 * code + o for code in walk.codes.tolist() for o in range(8)]
+    there = np.unpackbits(walk.surroundings().allowed[:, None], axis=1, bitorder="little").ravel() == 1
+    return as_set(cells_of_codes(np.array(codes)[there], (0, 0, 0)))
+
+
 def test_walk_allows_what_can_be_there(rng: np.random.Generator) -> None:
     tree, cells = random_tree(rng, 150, 3)
     side, side_cells = random_tree(rng, 150, 3)
     fresh = Octree(np.setdiff1d(tree.codes, side.codes), 3)
-    for walk, level_of in ((TreeWalk(side), fresh), (TreeWalk(side, superset=tree), fresh)):
-        for level in level_of.levels:
-            allowed = walk.surroundings().allowed
-            assert np.all(level.masks & ~allowed == 0)
-            last = allowed
-            walk.descend(level.masks)
-        leaves = sorted(nodes_at({tuple(v for v in c) for c in as_set(cells_of_codes(fresh.codes, (0, 0, 0)))}, 1), key=morton_code)
-        taken = side_cells if walk._superset is None else {c for c in all_cells(3) if c not in cells}
-        for node, mask in zip(leaves, last.tolist(), strict=True):
-            for octant in range(8):
-                child = (2 * node[0] + (octant & 1), 2 * node[1] + (octant >> 1 & 1), 2 * node[2] + (octant >> 2))
-                assert bool(mask >> octant & 1) == (child not in taken)
-
-
-def all_cells(depth: int) -> set[Cell]:
-    """Return every cell of a cube."""
-    side = range(1 << depth)
-    return {(x, y, z) for x in side for y in side for z in side}
+    parents = nodes_at(cells - side_cells, 1)
+    everything = as_set(np.indices((8, 8, 8)).reshape(3, -1).T.astype(np.int32))
+    candidates = {c for c in everything if (c[0] >> 1, c[1] >> 1, c[2] >> 1) in parents}
+    assert leaf_allowed(TreeWalk(side), fresh) == candidates - side_cells
+    assert leaf_allowed(TreeWalk(side, superset=tree), fresh) == candidates & cells

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reference_coding import ExactCoder, ExactCounter, write_number
 
+from reference_coding import ExactCoder, ExactCounter, write_number
 from threedvc.coding.range_coder import RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
 from threedvc.kernels.entropy import NUMBER_COUNTERS, adapt_counter, code_bit, counter_probability

@@ -19,7 +19,7 @@ from threedvc.coding.color import ColorSettings
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
 from threedvc.decoder import Decoder, FrameState, camera_poses, models_digest, nearest_multiple, rig_of
-from threedvc.errors import CorruptStream, LimitExceeded, TruncatedStream, UnsupportedVersion
+from threedvc.errors import CorruptStream, FormatError, LimitExceeded, TruncatedStream, UnsupportedVersion
 from threedvc.limits import MAX_COUNT, MAX_FRAME
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
@@ -313,6 +313,57 @@ def test_the_wrong_digest_comes_after_every_frame() -> None:
     with pytest.raises(CorruptStream, match="digest"):
         found.extend(decoder.frames([STREAM.packet(), start, EndHeader(frames=5, digest=bytes(16)).packet()]))
     assert (len(found), decoder.complete) == (5, False)
+
+
+def rich_stream() -> list[tuple[BatchHeader, list[Packet]]]:
+    """Return the batches of a stream with every kind of packet."""
+    author = Author()
+    told = [FrameReport(index=k, timestamp_ns=k, status="weak", entropy_bits=3.0**k) for k in range(4)]
+    first = [
+        author.object(0),
+        author.object(1),
+        author.model(0, 0, changed(row_of_cells(-20, 90))),
+        author.model(1, 1, changed(row_of_cells(5, 30))),
+        author.poses(1, 0, [place(0), place(1)]),
+        ClockHeader(frame=0, count=2).packet(b"\x03\x85\x01"),
+    ]
+    second = [
+        author.model(0, 2, changed(row_of_cells(100, 9), row_of_cells(0, 4))),
+        author.poses(1, 2, [place(5), place(9)]),
+        report_packet(told),
+    ]
+    return [(BatchHeader(frame=0, count=2), first), (BatchHeader(frame=2, count=2), second)]
+
+
+@given(st.data())
+def test_damaged_packets_raise_only_format_errors(data: st.DataObject) -> None:
+    stream = rich_stream()
+    _, members = data.draw(st.sampled_from(stream))
+    place_of = data.draw(st.integers(0, len(members) - 1))
+    member = members[place_of]
+    if data.draw(st.booleans()) and member.payload:
+        at, bits = data.draw(st.integers(0, len(member.payload) - 1)), data.draw(st.integers(1, 255))
+        damaged = bytearray(member.payload)
+        damaged[at] ^= bits
+        members[place_of] = replace(member, payload=bytes(damaged[: data.draw(st.integers(at + 1, len(damaged)))]))
+    else:
+        number = st.integers(-1, 1 << 33) | st.integers(0, 6)
+        finite = st.floats(allow_nan=False, allow_infinity=False)
+        key = data.draw(st.sampled_from(["o", "f", "n", "h", "k"]))
+        members[place_of] = replace(
+            member, header={**member.header, key: data.draw(number | finite | st.text(max_size=9))}
+        )
+    packets = [pack_batch(head, members) for head, members in stream]
+    # END is missing on purpose: damage that decodes leaves a stream that is merely cut short.
+    with pytest.raises(FormatError):
+        decoded(*packets)
+
+
+def test_updates_of_one_byte_raise_only_format_errors() -> None:
+    _, start = one_object()
+    for value in range(256):
+        with pytest.raises(FormatError):
+            decoded(start, batch(3, 1, ModelHeader(frame=3).packet(bytes([value]))))
 
 
 @pytest.mark.parametrize("frame", [3 + MAX_COUNT + 1, MAX_FRAME])

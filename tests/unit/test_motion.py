@@ -99,15 +99,18 @@ class Follower:
         self.mask = np.ones((72, 96), dtype=bool)
 
     def start(self, frame: Frame, number: int = 0) -> Located:
-        found = self.tracker.start(frame, self.mask, number, self.rig)
+        found = self.tracker.start(self.views(frame), self.mask, number, self.rig)
         self.fuse(frame, found)
         return found
 
     def follow(self, frame: Frame) -> Located:
-        found = self.tracker.locate(FrameViews(frame, self.full, self.full), self.mask, self.model)
+        found = self.tracker.locate(self.views(frame), self.mask, self.model)
         if found.usable:
             self.fuse(frame, found)
         return found
+
+    def views(self, frame: Frame) -> FrameViews:
+        return FrameViews(frame, self.full, self.full)
 
     def fuse(self, frame: Frame, at: Located) -> None:
         seen = observe(frame, self.rig, self.rig.depth.rays())

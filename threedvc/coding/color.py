@@ -13,7 +13,14 @@ from threedvc.coding.mixer import new_mixer
 from threedvc.coding.octree import Neighborhood, Octree, children_of
 from threedvc.coding.range_coder import RangeCoder, new_counters
 from threedvc.errors import ConfigError, CorruptStream
-from threedvc.kernels.color_coding import COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS, SIGN_COUNTERS, Quantiser, code_colors
+from threedvc.kernels.color_coding import (
+    COLOR_MODELS,
+    COLOR_SETS,
+    COLOR_WEIGHT_ROWS,
+    SIGN_COUNTERS,
+    Quantiser,
+    code_colors,
+)
 from threedvc.kernels.color_transform import (
     FRACTION_BITS,
     MAX_VALUE,
@@ -129,7 +136,9 @@ def code_cell_colors(
     channels = settings.channels
     true, known = _MeanTree(tree, colors, channels), _MeanTree(state, state_colors, channels)
     mixer = new_mixer(COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS)
-    quantiser = Quantiser(settings.steps(), PRICE, new_counters(channels * NUMBER_COUNTERS), new_counters(SIGN_COUNTERS))
+    quantiser = Quantiser(
+        settings.steps(), PRICE, new_counters(channels * NUMBER_COUNTERS), new_counters(SIGN_COUNTERS)
+    )
     own, beside = Neighborhood(True), Neighborhood(len(state.codes) > 0)
     means = _code_root(coder, true.means[0], known.means[0], int(true.weights[0][0]), quantiser)
     parents, parent_energy = np.zeros(1, dtype=np.int32), np.zeros((1, channels), dtype=np.int32)

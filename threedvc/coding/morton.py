@@ -48,7 +48,9 @@ class Cube:
 
     @classmethod
     def around(cls, *cell_sets: NDArray[np.int32]) -> Self:
-        """Return the smallest cube around all cells of non-empty sets (n, 3)."""
+        """Return the smallest cube around all cells of some sets (n, 3)."""
+        if not any(len(cells) for cells in cell_sets):
+            return cls(1, (0, 0, 0))
         low = np.min([cells.min(axis=0) for cells in cell_sets if len(cells)], axis=0).astype(np.int64)
         high = np.max([cells.max(axis=0) for cells in cell_sets if len(cells)], axis=0).astype(np.int64)
         bits = int((high - low).max()).bit_length()

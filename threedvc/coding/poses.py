@@ -37,6 +37,7 @@ class PoseCoder:
         self._steps = np.array([translation_step_m, rotation_step_rad], dtype=np.float64)
         self._state = np.zeros((2, 7))
         self._state[:, 0] = 1
+        self._costs = np.zeros(2)
         self._counters = new_counters(POSE_COUNTERS)
         self._recent = np.zeros(RECENT_SIZE, dtype=np.int64)
         self.decoded: NDArray[np.float64] = np.empty((0, 4, 4))
@@ -55,7 +56,7 @@ class PoseCoder:
         count = len(poses)
         still, residuals = np.zeros(count, dtype=np.int64), np.zeros((count, 6), dtype=np.int64)
         flat = np.empty((count, 7))
-        follow_poses(True, _flattened(poses), still, residuals, self._state, self._steps, flat)
+        follow_poses(True, _flattened(poses), still, residuals, self._state, self._costs, self._steps, flat)
         writer = RangeWriter()
         writer.reserve(BYTES_PER_FRAME * count)
         code_residuals(writer.coder, still, residuals, self._recent, self._counters)
@@ -77,7 +78,7 @@ class PoseCoder:
             raise CorruptStream(f"pose payload of {len(payload)} bytes ends within {count} poses")
         reader.finish()
         flat = np.empty((count, 7))
-        follow_poses(False, flat, still, residuals, self._state, self._steps, flat)
+        follow_poses(False, flat, still, residuals, self._state, self._costs, self._steps, flat)
         if not np.all(np.abs(flat) < MAX_TRANSLATION_M):
             raise CorruptStream(f"a decoded pose is more than {MAX_TRANSLATION_M:.0f} m away")
         self.decoded = _matrices(flat)

@@ -11,7 +11,7 @@ from threedvc.coding.geometry import code_new_cells, code_subset
 from threedvc.coding.morton import MAX_COORDINATE, Cube, cells_of_codes, morton_codes, morton_order
 from threedvc.coding.octree import Octree
 from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
-from threedvc.errors import CorruptStream
+from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.kernels.entropy import NUMBER_COUNTERS
 from threedvc.kernels.octree import COORDINATE_BITS
 from threedvc.model_update import ModelUpdate
@@ -50,7 +50,14 @@ def encode_update_with_result(
         Bytes for `decode_update`.
     decoded
         The update as the decoder will see it: the same cells, quantised colours.
+
+    Raises
+    ------
+    LimitExceeded
+        If there are more than 2^23 cells, or they lie too far from the origin or from each other.
     """
+    if not _in_range(update.added) or Cube.around(cells, update.added).depth > COORDINATE_BITS:
+        raise LimitExceeded(f"cells must lie within +-{MAX_COORDINATE} and span no more; use larger cells")
     writer = RangeWriter()
     decoded = _code_update(writer, update, cells, colors, settings)
     return writer.finish(), decoded
@@ -69,7 +76,13 @@ def decode_update(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.i
     reader = RangeReader(payload)
     update = _code_update(reader, None, cells, colors, ColorSettings())
     reader.finish()
+    if not _in_range(update.added):
+        raise CorruptStream(f"a model update has cells beyond +-{MAX_COORDINATE}; the stream is damaged")
     return update
+
+
+def _in_range(cells: NDArray[np.int32]) -> bool:
+    return bool(np.all((cells >= -MAX_COORDINATE) & (cells < MAX_COORDINATE)))
 
 
 def _code_update(
@@ -99,6 +112,8 @@ def _code_update(
     side = Octree(added, cube.depth)
     removed = code_subset(coder, wanted(given.removed), state, side) if has_removed else NO_CODES
     remaining = Octree(np.setdiff1d(state_codes, removed, assume_unique=True), cube.depth)
+    if has_recolored and not len(remaining.codes):
+        raise CorruptStream("a model update removes every cell and recolours some; the stream is damaged")
     recolored = code_subset(coder, wanted(given.recolored), remaining, side) if has_recolored else NO_CODES
     colored = Octree(np.sort(np.concatenate([added, recolored])), cube.depth)
     decoded = np.empty((0, 3), dtype=np.int16)
@@ -137,7 +152,7 @@ def _code_cube(coder: RangeCoder, added: NDArray[np.int32], cells: NDArray[np.in
     own = Cube.around(cells) if len(cells) else None
     if own is not None and not coder.bit(not own.contains(added)):
         return own
-    cube = Cube.around(cells, added) if len(added) else Cube(1, (0, 0, 0))
+    cube = Cube.around(cells, added)
     counters = new_counters(NUMBER_COUNTERS)
     depth = coder.number(cube.depth, counters)
     corner = tuple(coder.signed(value, counters) for value in cube.corner)

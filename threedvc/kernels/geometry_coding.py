@@ -31,7 +31,8 @@ GEOMETRY_MODELS = 9
 GEOMETRY_SETS = 3
 GEOMETRY_WEIGHT_ROWS = 128
 MAX_HEIGHT = 3
-EMPTY, OCCUPIED, UNKNOWN = 0, 1, 2
+EMPTY, UNKNOWN = 0, 2
+STATE_UNIT = np.array([0, 1, 32])
 
 
 def _sided_offsets() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -80,11 +81,11 @@ def ternary(patch: NDArray[np.int64], place: int, offsets: NDArray[np.int64]) ->
 
 
 @kernel
-def count_state(patch: NDArray[np.int64], place: int, state: int) -> int:
-    """Count places in a state among the 27 around and at a place."""
+def count_states(patch: NDArray[np.int64], place: int) -> int:
+    """Count, among the 27 places around and at a place, the occupied ones plus 32 times the unknown ones."""
     count = np.int64(0)
     for d in range(27):
-        count += 1 if patch[place + PLACE_SHIFT[d]] == state else 0
+        count += STATE_UNIT[patch[place + PLACE_SHIFT[d]]]
     return count
 
 
@@ -111,6 +112,7 @@ def set_contexts(
     mixer: Mixer,
     around: Surroundings,
     node: int,
+    nodes: int,
     child: int,
     height: int,
     coded: int,
@@ -118,14 +120,16 @@ def set_contexts(
     patch: NDArray[np.int64],
     side: NDArray[np.int64],
 ) -> None:
-    """Set the contexts of the decision whether a child is there; `coded` are the children before it, behind a 1."""
+    """Set the contexts of the decision whether a child is there.
+
+    `nodes` tells as bits which nodes are around its parent, `coded` the children before it behind a 1.
+    """
     place = CHILD_PLACE[child]
     faces = ternary(patch, place, FACES)
     edges = ternary(patch, place, EDGES)
-    occupied = count_state(patch, place, OCCUPIED)
-    unknown = count_state(patch, place, UNKNOWN)
-    beside = min(count_state(side, place, OCCUPIED), 7) * 2 + side[place]
-    nodes = presence(around.near[node], PLACES)
+    counts = count_states(patch, place)
+    occupied, unknown = counts & 31, counts >> 5
+    beside = min(count_states(side, place), 7) * 2 + side[place]
     touching = presence(around.near[node], TOUCHING[child]) << 7 | presence(around.near[node], OPPOSITE[child])
     where = height * 8 + child
     contexts = mixer.contexts
@@ -162,6 +166,7 @@ def code_masks(
         if allowed == 0 or overrun(coder):
             return False
         gather_patch(i, masks, around, patch, side)
+        nodes = presence(around.near[i], PLACES)
         active = list_features(i, masks, around, features)
         mask = np.int64(0)
         coded = np.int64(1)
@@ -171,7 +176,7 @@ def code_masks(
                 bit = np.int64(1)
             elif allowed >> child & 1:
                 guess = prior_log_odds(prior, height, child, mask, features, active, hidden)
-                set_contexts(mixer, around, i, child, height, coded, guess, patch, side)
+                set_contexts(mixer, around, i, nodes, child, height, coded, guess, patch, side)
                 mixer.inputs[GEOMETRY_MODELS + 1] = guess
                 bit = code_mixed_bit(coder, np.int64(masks[i]) >> child & 1, mixer)
             patch[CHILD_PLACE[child]] = bit

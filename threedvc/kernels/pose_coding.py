@@ -29,6 +29,7 @@ POSE_COUNTERS = 2 + 2 * MAGNITUDE_BINS * NUMBER_COUNTERS
 RECENT_SIZE = 7
 COUNTER_LIMIT = 60
 MIN_COSINE = 1e-9
+COST_DECAY = 0.875
 
 
 @kernel
@@ -77,22 +78,51 @@ def predict_pose(last: NDArray[np.float64], before: NDArray[np.float64], predict
 
 
 @kernel
+def turn_of(residual: NDArray[np.int64], step: float, turn: NDArray[np.float64]) -> None:
+    """Write the quaternion (4,) of the Gibbs vector ``residual[:3] step / 2``."""
+    x, y, z = residual[0] * (0.5 * step), residual[1] * (0.5 * step), residual[2] * (0.5 * step)
+    length = np.sqrt(1 + (x * x + y * y + z * z))
+    turn[0], turn[1], turn[2], turn[3] = 1 / length, x / length, y / length, z / length
+
+
+@kernel
 def apply_residual(
-    predicted: NDArray[np.float64], residual: NDArray[np.int64], steps: NDArray[np.float64], pose: NDArray[np.float64]
+    predicted: NDArray[np.float64],
+    residual: NDArray[np.int64],
+    steps: NDArray[np.float64],
+    about_origin: bool,
+    pose: NDArray[np.float64],
 ) -> None:
-    """Write ``D T_predicted``, D being turned by the Gibbs vector ``residual[:3] step / 2`` and moved by the rest."""
-    turn = np.empty(4)
+    """Turn a predicted pose by ``residual[:3]``, about the origin or in its own place, and move it by the rest."""
     for k in range(7):
         pose[k] = predicted[k]
     if residual[0] != 0 or residual[1] != 0 or residual[2] != 0:
-        half = 0.5 * steps[1]
-        x, y, z = residual[0] * half, residual[1] * half, residual[2] * half
-        length = np.sqrt(1 + (x * x + y * y + z * z))
-        turn[0], turn[1], turn[2], turn[3] = 1 / length, x / length, y / length, z / length
+        turn = np.empty(4)
+        turn_of(residual, steps[1], turn)
         multiply(turn, predicted[:4], pose[:4])
-        rotate(turn, predicted[4:], pose[4:])
+        if about_origin:
+            rotate(turn, predicted[4:], pose[4:])
     for k in range(3):
         pose[4 + k] += residual[3 + k] * steps[0]
+
+
+@kernel
+def compare_pivots(
+    predicted: NDArray[np.float64],
+    residual: NDArray[np.int64],
+    steps: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    costs: NDArray[np.float64],
+) -> None:
+    """Add to the fading `costs` (2,) how far off the translation is by either way of turning: origin, own place."""
+    turn, turned = np.empty(4), np.empty(3)
+    turn_of(residual, steps[1], turn)
+    rotate(turn, predicted[4:], turned)
+    costs[0] *= COST_DECAY
+    costs[1] *= COST_DECAY
+    for k in range(3):
+        costs[0] += abs(pose[4 + k] - turned[k])
+        costs[1] += abs(pose[4 + k] - predicted[4 + k])
 
 
 @kernel
@@ -103,7 +133,11 @@ def rounded(value: float) -> int:
 
 @kernel
 def measure_residual(
-    pose: NDArray[np.float64], predicted: NDArray[np.float64], steps: NDArray[np.float64], residual: NDArray[np.int64]
+    pose: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    about_origin: bool,
+    residual: NDArray[np.int64],
 ) -> None:
     """Write the six integers for which `apply_residual` comes nearest to `pose`."""
     back = np.empty(4)
@@ -119,7 +153,7 @@ def measure_residual(
     for k in range(3):
         residual[k] = rounded(turn[1 + k] * scale)
         residual[3 + k] = 0
-    apply_residual(predicted, residual, steps, near)
+    apply_residual(predicted, residual, steps, about_origin, near)
     for k in range(3):
         residual[3 + k] = rounded((pose[4 + k] - near[4 + k]) / steps[0])
 
@@ -129,7 +163,7 @@ def repeats_last(
     pose: NDArray[np.float64], last: NDArray[np.float64], steps: NDArray[np.float64], residual: NDArray[np.int64]
 ) -> bool:
     """Tell whether a pose differs from the last one by less than the quantisation."""
-    measure_residual(pose, last, steps, residual)
+    measure_residual(pose, last, steps, False, residual)
     return not residual.any()
 
 
@@ -140,6 +174,7 @@ def follow_poses(
     still: NDArray[np.int64],
     residuals: NDArray[np.int64],
     state: NDArray[np.float64],
+    costs: NDArray[np.float64],
     steps: NDArray[np.float64],
     decoded: NDArray[np.float64],
 ) -> None:
@@ -155,6 +190,8 @@ def follow_poses(
         (n,) whether a frame repeats the last pose, and (n, 6) integers otherwise.
     state
         (2, 7): the last decoded pose and the one before; moved on.
+    costs
+        (2,) of `compare_pivots`: the cheaper way of turning is taken.
     steps
         Translation step in metres, rotation step in radians.
     """
@@ -166,9 +203,11 @@ def follow_poses(
             decoded[i] = state[0]
         else:
             predict_pose(state[0], state[1], predicted)
+            about_origin = costs[0] <= costs[1]
             if writing:
-                measure_residual(targets[i], predicted, steps, residuals[i])
-            apply_residual(predicted, residuals[i], steps, decoded[i])
+                measure_residual(targets[i], predicted, steps, about_origin, residuals[i])
+            apply_residual(predicted, residuals[i], steps, about_origin, decoded[i])
+            compare_pivots(predicted, residuals[i], steps, decoded[i], costs)
         state[1] = state[0]
         state[0] = decoded[i]
 

@@ -71,21 +71,25 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
 
 
 @kernel
-def surface_at(state, plane, base, x, y, z, dx, dy, dz, opacity):
+def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity):
     """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where too few cells count.
 
-    `state` (729,) and `plane` (729, 4) are those of a render block; (dx, dy, dz) is the direction of the
-    ray. A corner without weight, as on a face of the cube, costs nothing.
+    Parameters
+    ----------
+    corners
+        Bits of the corners that count: those occupied, on a face of the cube only those of that face.
+    plane
+        (729, 4) planes of the render block.
+    dx, dy, dz
+        Unit direction of the ray.
     """
     total, mean = 0.0, 0.0
     for k in range(8):
+        if not (corners >> k) & 1:
+            continue
         ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
         cell = base + ix + 9 * iy + 81 * iz
-        if not state[cell]:
-            continue
         w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z)
-        if w <= 0.0:
-            continue
         nx, ny, nz = np.float64(plane[cell, 0]), np.float64(plane[cell, 1]), np.float64(plane[cell, 2])
         s = nx * (x - ix) + ny * (y - iy) + nz * (z - iz) - plane[cell, 3]
         facing = nx * dx + ny * dy + nz * dz
@@ -99,13 +103,13 @@ def surface_at(state, plane, base, x, y, z, dx, dy, dz, opacity):
 
 
 @kernel
-def color_at(state, color, base, x, y, z, out):
+def color_at(corners, color, base, x, y, z, out):
     """Write the weighted mean colour of the occupied cells around (x, y, z) into `out` (3,)."""
     total, r, g, b = 0.0, 0.0, 0.0, 0.0
     for k in range(8):
-        ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
-        cell = base + ix + 9 * iy + 81 * iz
-        if state[cell]:
+        if (corners >> k) & 1:
+            ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
+            cell = base + ix + 9 * iy + 81 * iz
             w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z) + 1e-9
             total += w
             r += w * color[cell, 0]
@@ -131,7 +135,7 @@ def away_from_zero(d):
 
 
 @kernel
-def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity):
+def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity):
     """Find the sign change between `low` and `high` by two secant steps; FAR if too little is opaque there.
 
     (px, py, pz) is the ray's origin relative to the corner cell of the cube, (ux, uy, uz) its unit direction.
@@ -139,7 +143,7 @@ def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_lo
     hit, f = low, FAR
     for _ in range(2):
         hit = low + (high - low) * f_low / (f_low - f_high)
-        f = surface_at(state, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity)
+        f = surface_at(corners, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity)
         if f > 0.0:
             low, f_low = hit, min(f, MAX_DISTANCE)
         else:
@@ -149,8 +153,9 @@ def refine_hit(state, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_lo
 
 @kernel
 def cast_in_block(
-    px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, state, plane, opacity, number, grazed, hit
-):
+    px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, corners, plane, opacity, number,
+    grazed, hit,
+):  # fmt: skip
     """Walk the cells of one render block from `t` to `t_end`; return whether the ray is stopped.
 
     Parameters
@@ -159,6 +164,8 @@ def cast_in_block(
         Origin of the ray relative to the block, in cells; directions, none of them 0, are per unit of t.
     skip
         (512,) uint8: how many cells away the nearest cube with an occupied corner is.
+    corners
+        (512,) uint8: a bit for each occupied corner of a cube, that of x lowest.
     grazed
         (4,) float64, kept from block to block: parameter, distance, render block and cube of the
         nearest approach to a surface that the ray has not crossed; distance FAR: none. A ray that leaves
@@ -180,22 +187,23 @@ def cast_in_block(
         while skip[ix + 8 * iy + 64 * iz] == 0:
             t_out = min(tx, ty, tz)
             base = ix + 9 * iy + 81 * iz
+            occupied = corners[ix + 8 * iy + 64 * iz]
             ax, ay, az = px - ix, py - iy, pz - iz
-            if before == FAR:
-                before = surface_at(state, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0)
             x, y, z = ax + t_out * dx, ay + t_out * dy, az + t_out * dz
             if t_out == tx:
-                x = 1.0 if dx > 0.0 else 0.0
+                x, face = (1.0, 0b10101010) if dx > 0.0 else (0.0, 0b01010101)
             elif t_out == ty:
-                y = 1.0 if dy > 0.0 else 0.0
+                y, face = (1.0, 0b11001100) if dy > 0.0 else (0.0, 0b00110011)
             else:
-                z = 1.0 if dz > 0.0 else 0.0
-            after = surface_at(state, plane, base, x, y, z, ux, uy, uz, 0.0)
+                z, face = (1.0, 0b11110000) if dz > 0.0 else (0.0, 0b00001111)
+            after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, 0.0)
+            if after <= 0.0 and before == FAR:
+                before = surface_at(occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0)
             if after <= 0.0:
                 first = min(before, MAX_DISTANCE) if before > 0.0 else 0.0
                 start = t if before > 0.0 else t_out
                 at = refine_hit(
-                    state, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, start, first, t_out, after, opacity
+                    occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, start, first, t_out, after, opacity
                 )
                 if at < FAR:
                     hit[0], hit[1], hit[2] = at, number, base
@@ -226,8 +234,8 @@ def cast_in_block(
 
 @kernel
 def cast_rays(
-    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, skip, state,
-    plane, colors, label, with_color, opacity, depth, color, labels,
+    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, skip,
+    corners, plane, colors, label, with_color, opacity, depth, color, labels,
 ):  # fmt: skip
     """Cast rays ``order[start:stop]`` into one object and keep what is nearer than `depth` already holds.
 
@@ -237,7 +245,7 @@ def cast_rays(
         (n, 2) float64 slopes.
     T_cells_camera
         (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in metres.
-    coords, tables, skip, state, plane, colors
+    coords, tables, skip, corners, plane, colors
         Render blocks and their index.
     depth, color, labels
         (n,) float32 metres, 0 = nothing; (n, 3) float32; (n,) uint8; updated.
@@ -277,7 +285,7 @@ def cast_rays(
             if number >= 0:
                 stopped = cast_in_block(
                     ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, inverse_x, inverse_y, inverse_z, at, leave,
-                    skip[number], state[number], plane[number], opacity, number, grazed, hit,
+                    skip[number], corners[number], plane[number], opacity, number, grazed, hit,
                 )  # fmt: skip
             elif grazed[1] < GRAZE:
                 hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
@@ -291,6 +299,7 @@ def cast_rays(
                         x = ox + hit[0] * dx - coords[number, 0] * 8 - base % 9
                         y = oy + hit[0] * dy - coords[number, 1] * 8 - base // 9 % 9
                         z = oz + hit[0] * dz - coords[number, 2] * 8 - base // 81
-                        color_at(state[number], colors[number], base, x, y, z, color[r])
+                        cube = base % 9 + 8 * (base // 9 % 9) + 64 * (base // 81)
+                        color_at(corners[number, cube], colors[number], base, x, y, z, color[r])
                 break
             t = max(leave, at)

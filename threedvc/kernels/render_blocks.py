@@ -112,9 +112,7 @@ def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
 
 
 @kernel
-def build_block(
-    targets, blocks, start, stop, tables, occupied, planes, color, skip, cell_state, cell_plane, cell_color
-):
+def build_block(targets, blocks, start, stop, tables, occupied, planes, color, skip, corners, cell_plane, cell_color):
     """Fill render blocks ``start..stop`` of the list `blocks` (n, 3) at places `targets` (n,).
 
     Parameters
@@ -122,13 +120,14 @@ def build_block(
     skip
         (render blocks, 512) uint8: how many steps away, along any axis or diagonal, the nearest cube within the
         block is that has an occupied cell at a corner; 8 where there is none.
-    cell_state
-        (render blocks, 729) uint8: occupied.
+    corners
+        (render blocks, 512) uint8: a bit for each occupied corner of a cube, that of x lowest.
     cell_plane, cell_color
         (render blocks, 729, 4) int8 and (render blocks, 729, 3) int16.
     """
     root_origin, root, supers = tables
     flat, flat_plane, flat_color = occupied.reshape(-1), planes.reshape(-1, 4), color.reshape(-1, 3)
+    state = np.empty(729, dtype=np.bool_)
     for n in range(start, stop):
         t = targets[n]
         for i in range(729):
@@ -137,17 +136,19 @@ def build_block(
                 root_origin, root, supers,
             )  # fmt: skip
             here = cell >= 0 and flat[cell] != 0
-            cell_state[t, i] = here
+            state[i] = here
             for k in range(4):
                 cell_plane[t, i, k] = flat_plane[cell, k] if here else 0
             for k in range(3):
                 cell_color[t, i, k] = flat_color[cell, k] if here else 0
         for i in range(512):
             base = (i & 7) + 9 * ((i >> 3) & 7) + 81 * (i >> 6)
-            skip[t, i] = 8
+            bits = 0
             for k in range(8):
-                if cell_state[t, base + (k & 1) + 9 * ((k >> 1) & 1) + 81 * (k >> 2)]:
-                    skip[t, i] = 0
+                if state[base + (k & 1) + 9 * ((k >> 1) & 1) + 81 * (k >> 2)]:
+                    bits |= 1 << k
+            corners[t, i] = bits
+            skip[t, i] = 0 if bits else 8
         spread_distance(skip[t])
 
 

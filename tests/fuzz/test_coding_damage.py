@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""Damaged and random payloads end in an error of ours, or decode to something lawful; quickly."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update, morton_order
+from threedvc.errors import FormatError
+from threedvc.model_update import ModelUpdate
+
+NO_CELLS = np.empty((0, 3), dtype=np.int32)
+NO_COLORS = np.empty((0, 3), dtype=np.int16)
+
+
+def state() -> tuple[NDArray[np.int32], NDArray[np.int16]]:
+    """Return a bent sheet of cells and its colours."""
+    x, y = np.meshgrid(np.arange(-12, 13), np.arange(-12, 13))
+    cells = np.stack([x, y, x * y // 20], axis=-1).reshape(-1, 3).astype(np.int32)
+    cells = cells[morton_order(cells)]
+    return cells, (cells * 9 + 100).astype(np.int16)
+
+
+CELLS, COLORS = state()
+NEW = CELLS + np.array([25, 0, 0], dtype=np.int32)
+UPDATE = ModelUpdate(
+    added=NEW[morton_order(NEW)],
+    added_colors=COLORS,
+    removed=CELLS[::50],
+    recolored=CELLS[7::50],
+    recolored_colors=COLORS[7::50] + np.int16(70),
+)
+PAYLOAD = encode_update(UPDATE, CELLS, COLORS, ColorSettings(luma_step=10, chroma_step=20))
+
+
+def decode_lawfully(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> None:
+    """Decode; either a FormatError is raised or the update is one that fits the state."""
+    try:
+        update = decode_update(payload, cells, colors)
+    except FormatError:
+        return
+    there = set(map(tuple, cells.tolist()))
+    sets = [set(map(tuple, part.tolist())) for part in (update.added, update.removed, update.recolored)]
+    assert not sets[0] & there
+    assert sets[1] | sets[2] <= there
+    assert not sets[1] & sets[2]
+    assert len(update.added_colors) == len(update.added) == len(sets[0])
+    assert len(update.recolored_colors) == len(update.recolored)
+    assert all(np.all((c >= -256) & (c <= 511)) for c in (update.added_colors, update.recolored_colors))
+
+
+@given(st.binary(max_size=200))
+def test_random_bytes(payload: bytes) -> None:
+    decode_lawfully(payload, NO_CELLS, NO_COLORS)
+    decode_lawfully(payload, CELLS, COLORS)
+
+
+@given(st.integers(0, len(PAYLOAD) - 1), st.integers(1, 255))
+def test_changed_byte(position: int, change: int) -> None:
+    damaged = bytearray(PAYLOAD)
+    damaged[position] ^= change
+    decode_lawfully(bytes(damaged), CELLS, COLORS)
+
+
+@given(st.integers(0, len(PAYLOAD) - 1))
+def test_cut_payload(length: int) -> None:
+    decode_lawfully(PAYLOAD[:length], CELLS, COLORS)
+
+
+@given(st.integers(1, 255), st.integers(0, 60))
+def test_long_runs_of_one_byte(byte: int, length: int) -> None:
+    decode_lawfully(bytes([byte]) * length * 20, CELLS, COLORS)
+
+
+@given(st.binary(max_size=60), st.integers(0, 40))
+def test_random_poses(payload: bytes, count: int) -> None:
+    try:
+        poses = PoseCoder(0.0005, 0.00025).decode(payload, count)
+    except FormatError:
+        return
+    assert poses.shape == (count, 4, 4)
+    assert np.all(np.isfinite(poses))
