@@ -61,13 +61,19 @@ class Quantiser(NamedTuple):
 
 
 class Block(NamedTuple):
-    """The children of one node: eight places times channels, all int64.
+    """The children of one node, and then its mean (place 0) and the differences of `merge_pairs` (places 1..7).
 
-    Place 0 is the node's mean, places 1..7 are the differences of `merge_pairs`.
+    Attributes
+    ----------
+    given
+        (8, 2 * channels) int64: predicted, then true; of no meaning to a reader in the second half.
+    decoded, quantised
+        (8, channels) int64.
+    weights, left, right
+        (8,) int64, see `merge_pairs`.
     """
 
-    predicted: NDArray[np.int64]
-    true: NDArray[np.int64]
+    given: NDArray[np.int64]
     decoded: NDArray[np.int64]
     quantised: NDArray[np.int64]
     weights: NDArray[np.int64]
@@ -180,18 +186,19 @@ def code_coefficient(
     channel: int,
 ) -> None:
     """Code one difference of a block: set its quantised and its decoded value."""
+    channels = level.means.shape[1]
     step = step_of_pair(quantiser.steps[channel], block.left[place], block.right[place])
-    guess = block.predicted[place, channel] * DAMPING >> 8
+    guess = block.given[place, channel] * DAMPING >> 8
     slope = min(4 * abs(guess) // step, 15)
     around = energy_around(level, node, channel)
     value = np.int64(0)
-    if coder.state[READING] == 0:
-        set_contexts(mixer, block, place, channel, height, around, slope, 0)
-        value = choose_quantised(block.true[place, channel] - guess, step, mixed_log_odds(mixer), quantiser.price)
     magnitude = np.int64(0)
     while magnitude < ESCAPE_MAGNITUDE:
         set_contexts(mixer, block, place, channel, height, around, slope, magnitude)
-        if code_mixed_bit(coder, 1 if abs(value) > magnitude else 0, mixer) == 0:
+        log_odds = mixed_log_odds(mixer)
+        if magnitude == 0 and coder.state[READING] == 0:
+            value = choose_quantised(block.given[place, channels + channel] - guess, step, log_odds, quantiser.price)
+        if code_mixed_bit(coder, 1 if abs(value) > magnitude else 0, mixer, log_odds) == 0:
             break
         magnitude += 1
     if magnitude == ESCAPE_MAGNITUDE:
@@ -212,14 +219,13 @@ def code_block(
     child = level.first[node]
     for octant in range(8):
         if level.masks[node] >> octant & 1:
-            predict_child(level, node, octant, child, block.predicted[octant])
+            predict_child(level, node, octant, child, block.given)
             child += 1
-    load_children(level, node, level.true_means, block.true, block.weights)
-    merge_pairs(block.true, block.weights, block.left, block.right)
-    load_children(level, node, level.true_means, block.decoded, block.weights)
-    merge_pairs(block.predicted, block.weights, block.left, block.right)
-    block.quantised[:] = 0
-    block.decoded[0] = level.means[node]
+    load_children(level, node, block.given, block.weights)
+    merge_pairs(block.given, block.weights, block.left, block.right)
+    block.quantised.fill(0)
+    for channel in range(channels):
+        block.decoded[0, channel] = level.means[node, channel]
     for axis in range(2, -1, -1):
         for place in range(1 << axis, 8, 2 << axis):
             if block.left[place] > 0 and block.right[place] > 0:
@@ -242,8 +248,7 @@ def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLe
     """
     channels = level.means.shape[1]
     block = Block(
-        np.zeros((8, channels), np.int64),
-        np.zeros((8, channels), np.int64),
+        np.zeros((8, 2 * channels), np.int64),
         np.zeros((8, channels), np.int64),
         np.zeros((8, channels), np.int64),
         np.zeros(8, np.int64),
@@ -258,5 +263,6 @@ def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLe
         if mask & (mask - 1):
             code_block(coder, mixer, quantiser, level, i, height, block)
         else:
-            level.child_means[level.first[i]] = level.means[i]
+            for channel in range(channels):
+                level.child_means[level.first[i], channel] = level.means[i, channel]
     return True

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
+from threedvc.kernels.octree import BIT_COUNTS
 
 __all__ = [
     "FRACTION_BITS",
@@ -142,14 +143,14 @@ def sum_children(
 ) -> None:
     """Add up colours (n, 3) and weights (n,) of the children of every node."""
     child = 0
+    sums.fill(0)
+    weights.fill(0)
     for i in range(len(masks)):
-        sums[i] = 0
-        weights[i] = 0
-        for octant in range(8):
-            if masks[i] >> octant & 1:
-                sums[i] += child_sums[child]
-                weights[i] += child_weights[child]
-                child += 1
+        for _ in range(BIT_COUNTS[masks[i]]):
+            for channel in range(sums.shape[1]):
+                sums[i, channel] += child_sums[child, channel]
+            weights[i] += child_weights[child]
+            child += 1
 
 
 @kernel
@@ -203,16 +204,19 @@ def split_pairs(means: NDArray[np.int64], left: NDArray[np.int64], right: NDArra
 
 
 @kernel
-def load_children(
-    level: ColorLevel, node: int, means: NDArray[np.int64], values: NDArray[np.int64], weights: NDArray[np.int64]
-) -> None:
-    """Spread the rows of a node's children in `means` over 8 places; `weights` (8,) is zero for absent ones."""
+def load_children(level: ColorLevel, node: int, given: NDArray[np.int64], weights: NDArray[np.int64]) -> None:
+    """Write the true means of a node's children behind the predicted ones in `given` (8, 2 * channels), and weights.
+
+    `weights` (8,) is zero for absent children.
+    """
+    channels = level.means.shape[1]
     row = level.first[node]
     for octant in range(8):
         weights[octant] = 0
         if level.masks[node] >> octant & 1:
             weights[octant] = level.child_weights[row]
-            values[octant] = means[row]
+            for channel in range(channels):
+                given[octant, channels + channel] = level.true_means[row, channel]
             row += 1
 
 
@@ -229,30 +233,32 @@ def store_children(level: ColorLevel, node: int, values: NDArray[np.int64]) -> N
 
 @kernel
 def predict_child(level: ColorLevel, node: int, octant: int, child: int, predicted: NDArray[np.int64]) -> None:
-    """Predict the mean (channels,) of a child from the known means around it, weighted by nearness.
+    """Predict row `octant` of `predicted` (8, 2 * channels), the mean of a child, from the known means around it.
 
     Known are the level of its parent, the children of earlier nodes, and the child's own level in
     the state before the update.
     """
     total = np.int64(0)
-    predicted[:] = 0
+    channels = level.means.shape[1]
+    for channel in range(channels):
+        predicted[octant, channel] = 0
     for k in range(8):
         other = level.near[node, AROUND[octant, k]]
         if other >= 0:
             total += TRILINEAR[k]
-            for channel in range(len(predicted)):
-                predicted[channel] += TRILINEAR[k] * level.means[other, channel]
+            for channel in range(channels):
+                predicted[octant, channel] += TRILINEAR[k] * level.means[other, channel]
     for d in range(27):
         weight = NEAR_WEIGHT[SQUARED_DISTANCE[d]]
         other = level.child_near[child, d]
         if 0 <= other < level.first[node]:
             total += weight
-            for channel in range(len(predicted)):
-                predicted[channel] += weight * level.child_means[other, channel]
+            for channel in range(channels):
+                predicted[octant, channel] += weight * level.child_means[other, channel]
         other = level.state_near[child, d]
         if other >= 0:
             total += weight
-            for channel in range(len(predicted)):
-                predicted[channel] += weight * level.state_means[other, channel]
-    for channel in range(len(predicted)):
-        predicted[channel] = rounded_ratio(predicted[channel], total)
+            for channel in range(channels):
+                predicted[octant, channel] += weight * level.state_means[other, channel]
+    for channel in range(channels):
+        predicted[octant, channel] = rounded_ratio(predicted[octant, channel], total)

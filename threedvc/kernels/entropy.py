@@ -85,7 +85,7 @@ RECIPROCAL_TABLE = _reciprocal_table()
 @kernel
 def start_writing(coder: Coder) -> None:
     """Set a coder to write from position 0 on."""
-    coder.state[:] = 0
+    coder.state.fill(0)
     coder.state[WIDTH] = MASK32
     coder.state[LIMIT] = NO_LIMIT
 

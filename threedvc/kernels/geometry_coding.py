@@ -22,7 +22,7 @@ from threedvc.kernels.geometry_prior import (
     list_features,
     prior_log_odds,
 )
-from threedvc.kernels.mixing import Mixer, code_mixed_bit, hash_pair
+from threedvc.kernels.mixing import Mixer, code_mixed_bit, hash_pair, mixed_log_odds
 from threedvc.kernels.octree import BIT_COUNTS
 
 __all__ = ["GEOMETRY_MODELS", "GEOMETRY_SETS", "GEOMETRY_WEIGHT_ROWS", "code_masks"]
@@ -178,7 +178,7 @@ def code_masks(
                 guess = prior_log_odds(prior, height, child, mask, features, active, hidden)
                 set_contexts(mixer, around, i, nodes, child, height, coded, guess, patch, side)
                 mixer.inputs[GEOMETRY_MODELS + 1] = guess
-                bit = code_mixed_bit(coder, np.int64(masks[i]) >> child & 1, mixer)
+                bit = code_mixed_bit(coder, np.int64(masks[i]) >> child & 1, mixer, mixed_log_odds(mixer))
             patch[CHILD_PLACE[child]] = bit
             coded = coded << 1 | bit
             mask |= bit << child

@@ -178,16 +178,18 @@ def prior_log_odds(
     hidden: NDArray[np.int32],
 ) -> int:
     """Return 256 times the log-odds that a child is there; `siblings` is the mask of the children before it."""
-    hidden[:] = prior.biases[child_row(height, child)]
+    bias = child_row(height, child)
+    for u in range(HIDDEN):
+        hidden[u] = prior.biases[bias, u]
     for k in range(count):
-        row = prior.inputs[MIRRORED[child, features[k]]]
+        row = MIRRORED[child, features[k]]
         for u in range(HIDDEN):
-            hidden[u] += row[u]
+            hidden[u] += prior.inputs[row, u]
     for sibling in range(child):
         if siblings >> sibling & 1:
-            row = prior.inputs[MIRRORED[child, OWN_PLACES + CHILD_PLACE[sibling]]]
+            row = MIRRORED[child, OWN_PLACES + CHILD_PLACE[sibling]]
             for u in range(HIDDEN):
-                hidden[u] += row[u]
+                hidden[u] += prior.inputs[row, u]
     total = np.int64(prior.output_bias)
     for u in range(HIDDEN):
         total += max(hidden[u], 0) * prior.outputs[u]

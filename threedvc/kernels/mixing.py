@@ -126,8 +126,8 @@ def learn(mixer: Mixer, bit: int) -> None:
 
 
 @kernel
-def code_mixed_bit(coder: Coder, bit: int, mixer: Mixer) -> int:
-    """Code a bit with the mixed probability of its contexts and learn from it."""
-    bit = code_bit(coder, bit, clamp_probability(squash(mixed_log_odds(mixer))))
+def code_mixed_bit(coder: Coder, bit: int, mixer: Mixer, log_odds: int) -> int:
+    """Code a bit whose `mixed_log_odds` have just been found, and learn from it."""
+    bit = code_bit(coder, bit, clamp_probability(squash(log_odds)))
     learn(mixer, bit)
     return bit

@@ -56,6 +56,13 @@ def rotate(q: NDArray[np.float64], v: NDArray[np.float64], rotated: NDArray[np.f
 
 
 @kernel
+def copy_pose(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
+    """Copy a pose."""
+    for k in range(7):
+        target[k] = source[k]
+
+
+@kernel
 def predict_pose(last: NDArray[np.float64], before: NDArray[np.float64], predicted: NDArray[np.float64]) -> None:
     """Continue the motion of the last two poses: ``(T_last T_before^-1) T_last``; exact where they are equal."""
     moved = False
@@ -94,8 +101,7 @@ def apply_residual(
     pose: NDArray[np.float64],
 ) -> None:
     """Turn a predicted pose by ``residual[:3]``, about the origin or in its own place, and move it by the rest."""
-    for k in range(7):
-        pose[k] = predicted[k]
+    copy_pose(predicted, pose)
     if residual[0] != 0 or residual[1] != 0 or residual[2] != 0:
         turn = np.empty(4)
         turn_of(residual, steps[1], turn)
@@ -164,7 +170,10 @@ def repeats_last(
 ) -> bool:
     """Tell whether a pose differs from the last one by less than the quantisation."""
     measure_residual(pose, last, steps, False, residual)
-    return not residual.any()
+    for k in range(6):
+        if residual[k] != 0:
+            return False
+    return True
 
 
 @kernel
@@ -200,7 +209,7 @@ def follow_poses(
         if writing:
             still[i] = repeats_last(targets[i], state[0], steps, residuals[i])
         if still[i] == 1:
-            decoded[i] = state[0]
+            copy_pose(state[0], decoded[i])
         else:
             predict_pose(state[0], state[1], predicted)
             about_origin = costs[0] <= costs[1]
@@ -208,8 +217,8 @@ def follow_poses(
                 measure_residual(targets[i], predicted, steps, about_origin, residuals[i])
             apply_residual(predicted, residuals[i], steps, about_origin, decoded[i])
             compare_pivots(predicted, residuals[i], steps, decoded[i], costs)
-        state[1] = state[0]
-        state[0] = decoded[i]
+        copy_pose(state[0], state[1])
+        copy_pose(decoded[i], state[0])
 
 
 @kernel

@@ -10,7 +10,7 @@ from threedvc.kernels import kernel
 __all__ = ["interpolate_between"]
 
 MAX_DEPTH_STEP = 0.02
-MAX_BEND = 0.0015
+MAX_BEND = 0.004
 
 
 @kernel
