@@ -34,6 +34,7 @@ COLOR_WEIGHT_ROWS = 128
 ESCAPE_MAGNITUDE = 6
 DAMPING = 236
 SIGN_COUNTERS = 3 * 3 * 4 * 9
+CODING_ORDER = (4, 2, 6, 1, 3, 5, 7)
 MAX_ENERGY = 1000
 MAX_QUANTISED = 1 << 22
 NUMBER_LIMIT = 255
@@ -211,11 +212,8 @@ def code_coefficient(
 
 
 @kernel
-def code_block(
-    coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, node: int, height: int, block: Block
-) -> None:
-    """Code the children of one node that has at least two."""
-    channels = level.means.shape[1]
+def open_block(level: ColorLevel, node: int, block: Block) -> None:
+    """Predict the children of a node and pair them."""
     child = level.first[node]
     for octant in range(8):
         if level.masks[node] >> octant & 1:
@@ -224,14 +222,14 @@ def code_block(
     load_children(level, node, block.given, block.weights)
     merge_pairs(block.given, block.weights, block.left, block.right)
     block.quantised.fill(0)
-    for channel in range(channels):
+    for channel in range(level.means.shape[1]):
         block.decoded[0, channel] = level.means[node, channel]
-    for axis in range(2, -1, -1):
-        for place in range(1 << axis, 8, 2 << axis):
-            if block.left[place] > 0 and block.right[place] > 0:
-                for channel in range(channels):
-                    code_coefficient(coder, mixer, quantiser, level, node, height, block, place, channel)
-    for channel in range(channels):
+
+
+@kernel
+def close_block(level: ColorLevel, node: int, block: Block) -> None:
+    """Turn decoded differences into the means of the children, and note the energy of the node."""
+    for channel in range(level.means.shape[1]):
         total = np.int64(0)
         for place in range(1, 8):
             total += abs(block.quantised[place, channel])
@@ -260,9 +258,14 @@ def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLe
         if overrun(coder):
             return False
         mask = np.int64(level.masks[i])
-        if mask & (mask - 1):
-            code_block(coder, mixer, quantiser, level, i, height, block)
-        else:
+        if mask & (mask - 1) == 0:
             for channel in range(channels):
                 level.child_means[level.first[i], channel] = level.means[i, channel]
+            continue
+        open_block(level, i, block)
+        for place in CODING_ORDER:
+            if block.left[place] > 0 and block.right[place] > 0:
+                for channel in range(channels):
+                    code_coefficient(coder, mixer, quantiser, level, i, height, block, place, channel)
+        close_block(level, i, block)
     return True
