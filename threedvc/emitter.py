@@ -34,7 +34,7 @@ from threedvc.packets import (
     pack_batch,
 )
 from threedvc.pose import Pose, compose, inverse
-from threedvc.readout import Surface, changes, first_sights, read_surface
+from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface
 from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
 from threedvc.wire import pack_signed_varint
@@ -148,7 +148,7 @@ class Emitter:
         if self._config.causal:
             return changes(sent.item.evidence, sent.wanted, self._config.threads)
         if sent.final is None:
-            sent.final = read_surface(sent.item.evidence, self._config.threads)
+            sent.final = in_regions(read_surface(sent.item.evidence, self._config.threads))
         return first_sights(sent.final, sent.model, until_frame)
 
     def _poses(self, sent: _Sent, first: int, stop: int) -> Iterator[Packet]:

@@ -8,7 +8,7 @@ can never be seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,14 @@ from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel, EvidenceModel
 from threedvc.parallel import for_ranges
 
-__all__ = ["Surface", "changes", "first_sights", "read_surface"]
+__all__ = ["Surface", "changes", "first_sights", "in_regions", "read_surface"]
 
 MIN_WEIGHT = 0.02
 CONFIDENT_LOG_ODDS = 2.0
 EMPTY_LOG_ODDS = -2.0
 MIN_NEIGHBOURS = 3
 RECOLOR_LEVELS = 16.0
+REGION_SHIFT = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +69,17 @@ def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.
     count_neighbours(cells, positions, index.tables, flags.reshape(-1), neighbours)
     cells, positions = cells[neighbours >= MIN_NEIGHBOURS], positions[neighbours >= MIN_NEIGHBOURS]
     return Surface(cells=cells, colors=_colors(model, positions), first_seen=model.first_seen.reshape(-1)[positions])
+
+
+def in_regions(surface: Surface) -> Surface:
+    """Let cells of a region of 16x16x16 cells be first seen together, when the first of them is.
+
+    Sent one by one as the view wanders over them they cost 40 % more than all at once, so 7 %.
+    """
+    regions, member = np.unique(surface.cells >> REGION_SHIFT, axis=0, return_inverse=True)
+    first = np.full(len(regions), EvidenceModel.NEVER, dtype=np.int32)
+    np.minimum.at(first, member, surface.first_seen)
+    return replace(surface, first_seen=first[member])
 
 
 def _colors(model: EvidenceModel, positions: NDArray[np.int64]) -> NDArray[np.int16]:

@@ -13,7 +13,7 @@ from threedvc.coding.geometry_prior import geometry_prior
 from threedvc.coding.morton import cells_of_codes, morton_codes
 from threedvc.coding.octree import Octree, TreeWalk
 from threedvc.coding.range_coder import RangeReader, RangeWriter
-from threedvc.errors import CorruptStream
+from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.kernels.geometry_prior import FEATURES, HEIGHTS, list_features, prior_log_odds
 
 DEPTH = 5
@@ -124,6 +124,15 @@ def test_subset_comes_back(rng: np.random.Generator, share: float) -> None:
     assert np.array_equal(code_subset(reader, None, tree(whole), tree(side)), part)
     reader.finish()
     assert len(payload) < 1 + len(whole) / 6
+
+
+def test_too_many_nodes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    codes, writer = sphere_codes(12.0), RangeWriter()
+    code_new_cells(writer, codes, tree(codes[:0]))
+    reader = RangeReader(writer.finish())
+    monkeypatch.setattr("threedvc.coding.geometry.MAX_NODES", 2000)
+    with pytest.raises(LimitExceeded, match="more than 2000 nodes; use larger cells or smaller groups"):
+        code_new_cells(reader, None, tree(codes[:0]))
 
 
 def test_cells_of_the_state_cannot_be_added_again() -> None:

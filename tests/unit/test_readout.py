@@ -16,7 +16,7 @@ from threedvc.kernels.surface import count_neighbours
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel, EvidenceModel
 from threedvc.pose import identity
-from threedvc.readout import Surface, changes, first_sights, read_surface
+from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface
 from threedvc.sensor_model import SENSORS
 
 CAMERA = Camera(width=60, height=48, fx=60.0, fy=60.0, cx=29.5, cy=23.5)
@@ -269,3 +269,11 @@ def test_live_updates_always_fit(rng: np.random.Generator) -> None:
         sent.apply(due)
     assert sent.cell_count == np.count_nonzero(sent.occupied[: sent.index.count]) > 0
     assert sent.occupied.shape[1] == BLOCK_CELLS
+
+
+def test_cells_of_a_region_are_first_seen_together() -> None:
+    cells = np.array([[0, 0, 0], [15, 15, 15], [16, 0, 0], [-1, 0, 0]], dtype=np.int32)
+    surface = Surface(
+        cells=cells, colors=np.zeros((4, 3), np.int16), first_seen=np.array([7, 3, 9, EvidenceModel.NEVER], np.int32)
+    )
+    assert in_regions(surface).first_seen.tolist() == [3, 3, 9, EvidenceModel.NEVER]

@@ -19,9 +19,9 @@ from threedvc.kernels.geometry_coding import (
 )
 from threedvc.kernels.octree import BIT_COUNTS
 
-__all__ = ["MAX_CELLS", "code_new_cells", "code_subset"]
+__all__ = ["MAX_NODES", "code_new_cells", "code_subset"]
 
-MAX_CELLS = 1 << 23
+MAX_NODES = 1 << 23
 BYTES_PER_NODE = 16
 ADDED_WEIGHTS = (0.1, 0.0, 0.6)
 SUBSET_WEIGHTS = (0.3, 0.0, 0.0)
@@ -49,7 +49,7 @@ def code_new_cells(coder: RangeCoder, codes: NDArray[np.int64] | None, state: Oc
     CorruptStream
         If what is read cannot have been written.
     LimitExceeded
-        If a level has more than 2^23 nodes.
+        If the tree has more than 2^23 nodes, cells included.
     """
     return _code_tree(coder, codes, state, None, ADDED_WEIGHTS)
 
@@ -71,12 +71,14 @@ def _code_tree(
     target = Octree(codes, len(side.levels)) if codes is not None else None
     mixer = new_mixer(GEOMETRY_MODELS, GEOMETRY_SETS, GEOMETRY_WEIGHT_ROWS, first_weights=first_weights)
     walk = TreeWalk(side, superset)
+    nodes = 1
     for number in range(len(side.levels)):
         masks = target.levels[number].masks.copy() if target is not None else np.zeros(len(walk.codes), dtype=np.uint8)
         coder.reserve(BYTES_PER_NODE * len(masks))
         if not code_masks(coder.coder, mixer, geometry_prior(), walk.height, masks, walk.surroundings()):
             raise CorruptStream("cells of a model update end too early or contradict the state; the stream is damaged")
-        if int(BIT_COUNTS[masks].sum()) > MAX_CELLS:
-            raise LimitExceeded(f"a model update has more than {MAX_CELLS} cells")
+        nodes += int(BIT_COUNTS[masks].sum())
+        if nodes > MAX_NODES:
+            raise LimitExceeded(f"a model update has more than {MAX_NODES} nodes; use larger cells or smaller groups")
         walk.descend(masks)
     return walk.codes

@@ -54,7 +54,7 @@ def encode_update_with_result(
     Raises
     ------
     LimitExceeded
-        If there are more than 2^23 cells, or they lie too far from the origin or from each other.
+        If there are more than about 2^22 cells, or they lie too far from the origin or from each other.
     """
     if not _in_range(update.added) or Cube.around(cells, update.added).depth > COORDINATE_BITS:
         raise LimitExceeded(f"cells must lie within +-{MAX_COORDINATE} and span no more; use larger cells")
@@ -71,7 +71,7 @@ def decode_update(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.i
     CorruptStream
         If the payload is damaged or does not fit the state.
     LimitExceeded
-        If it holds more than 2^23 cells.
+        If a tree of its cells has more than 2^23 nodes.
     """
     reader = RangeReader(payload)
     update = _code_update(reader, None, cells, colors, ColorSettings())
