@@ -91,8 +91,8 @@ class FusionConfig:
 class ColorConfig:
     """Colour coding: quantisation steps in grey levels for luma and for chroma."""
 
-    luma_step: float = 24.0
-    chroma_step: float = 36.0
+    luma_step: float = 16.0
+    chroma_step: float = 28.0
 
     def __post_init__(self) -> None:
         if self.luma_step < 1 or self.chroma_step < 1:

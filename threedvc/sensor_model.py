@@ -29,6 +29,10 @@ MAX_IDEAL_ROUGHNESS = 0.001
 MIN_SMOOTH_PIXELS = 100
 
 
+WORST_SIGMA_M = 0.1
+MAX_REACH_M = 1000.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class SensorModel:
     """A depth sensor.
@@ -59,6 +63,12 @@ class SensorModel:
         """Return the axial deviations in metres at depths `z` in metres, of any shape."""
         axial = self.s0_m + z * (self.s1 + z * self.s2_per_m)
         return np.asarray(np.sqrt(axial * axial + (self.quantum_per_m * z * z) ** 2 / 12), dtype=np.float64)
+
+    @property
+    def reach_m(self) -> float:
+        """The depth up to which a measurement is good to 0.1 m; what lies beyond is no basis for a model."""
+        depths = np.arange(0.1, MAX_REACH_M, 0.1)
+        return float(depths[self.sigma_m(depths) <= WORST_SIGMA_M].max(initial=0.1))
 
     def parameters(self) -> NDArray[np.float64]:
         """Return ``s0, s1, s2, q, outlier`` for the kernels."""

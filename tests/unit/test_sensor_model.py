@@ -67,3 +67,10 @@ def test_one_hole_does_not_make_a_depth_map_noisy() -> None:
     depth[10:20, 10:30] = 0
     depth[:, 40:] += 1
     assert guess_sensor(depth) is Sensor.IDEAL
+
+
+def test_a_sensor_reaches_as_far_as_it_is_good_to_a_tenth_of_a_metre() -> None:
+    kinect = SENSORS[Sensor.KINECT1]
+    reach = kinect.reach_m
+    assert 8 < reach < 9
+    assert kinect.sigma_m(np.array(reach)) <= 0.1 < kinect.sigma_m(np.array(reach + 0.2))
