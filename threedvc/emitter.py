@@ -42,6 +42,8 @@ from threedvc.wire import pack_signed_varint
 __all__ = ["Emitter"]
 
 MAX_STILL_GAP = 2
+MIN_LIVE_CELLS = 4
+"""A live encoder lets fewer changed cells than these wait for more: their framing would outweigh them."""
 MAX_REST = MAX_COUNT // 2
 
 
@@ -137,7 +139,7 @@ class Emitter:
             yield ObjectHeader(object_id=number, voxel_size_m=item.evidence.voxel_size_m).packet()
         sent = self._sent[number]
         update = self._update(sent, None if last else stop)
-        if not update.empty:
+        if update.size >= (MIN_LIVE_CELLS if self._config.causal and not last else 1):
             payload, decoded = encode_update_with_result(update, *sent.model.cells(), self._color)
             sent.model.apply(decoded)
             sent.wanted.apply(update)

@@ -32,6 +32,11 @@ class ModelUpdate:
     recolored_colors: NDArray[np.int16]
 
     @property
+    def size(self) -> int:
+        """Number of cells that change."""
+        return len(self.added) + len(self.removed) + len(self.recolored)
+
+    @property
     def empty(self) -> bool:
         """Whether nothing changes."""
-        return not (len(self.added) or len(self.removed) or len(self.recolored))
+        return self.size == 0
