@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from threedvc.cli.options import (
+    bit_rate,
     frame_range,
     json_option,
     length,
@@ -29,6 +31,7 @@ __all__ = ["encode"]
 STANDARD_OUTPUT = Path("-")
 # Written out here because the module that lists them loads OpenCV, which --help must not wait for.
 LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare")
+PRESETS = ("live", "fast", "medium", "slow")
 SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 
 
@@ -49,7 +52,11 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--segment", type=segmentation, metavar="none|depth:N..F|masks|auto", default="auto", show_default=True,
               help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT.")  # fmt: skip
 @click.option("--sensor", type=click.Choice(SENSORS), default="auto", show_default=True, help="Noise of the depth.")
-@click.option("--causal", is_flag=True, help="Live: send each group of frames as soon as it is fused.")
+@click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,
+              help="How much work: send at once; fit colours; refine cameras and poses, too; for longer.")  # fmt: skip
+@click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
+@click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colours.  [default: 50]")
+@click.option("--causal", is_flag=True, help="The same as --preset live.")
 @click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
 @threads_option
 @json_option
@@ -86,18 +93,25 @@ def _open(source: Path, choices: dict[str, Any]) -> FrameSequence:
 
 
 def _configuration(choices: dict[str, Any]) -> EncoderConfig:
-    from threedvc.config import EncoderConfig, Motion, Sensor
+    from threedvc.config import EncoderConfig, Motion, Preset, Sensor, with_preset, with_quality
     from threedvc.parallel import default_threads
 
-    return EncoderConfig(
+    if choices["bitrate"] is not None and choices["quality"] is not None:
+        raise click.UsageError("--bitrate and --quality contradict each other; give one of them")
+    if choices["causal"] and choices["preset"] not in ("live", "medium"):
+        raise click.UsageError(f"--causal and --preset {choices['preset']} contradict each other; give one of them")
+    preset = Preset.LIVE if choices["causal"] else Preset(choices["preset"])
+    config = EncoderConfig(
         voxel_size_m=choices["voxel_size"],
         max_depth_m=choices["max_depth"],
         motion=Motion(choices["motion"]),
         sensor=Sensor(choices["sensor"]),
         segmentation=choices["segment"],
-        causal=choices["causal"],
         threads=choices["threads"] or default_threads(),
     )
+    if choices["quality"] is not None:
+        config = with_quality(config, choices["quality"])
+    return replace(with_preset(config, preset), bitrate_bps=choices["bitrate"])
 
 
 def _summary(report: EncodeReport, output: Path) -> str:

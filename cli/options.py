@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OUTPUTS",
+    "bit_rate",
     "decoded_outputs",
     "frame_range",
     "frame_span",
@@ -41,6 +42,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 OUTPUTS = ("color", "depth", "labels")
 DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
 LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
+RATE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*([kKmM]?)\s*")
+RATE_EXPONENT = {"": 0, "k": 3, "m": 6}
 RANGE = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 SIZE = re.compile(r"(\d+)[xX](\d+)")
 LABEL_LIMIT = 256
@@ -53,6 +56,14 @@ def length(text: str) -> float:
         raise click.BadParameter(f"{text!r} is not a length; write 8mm, 1cm, 0.02m or a number of metres")
     # By the decimal exponent, because a product such as 7 * 0.001 is not the number 0.007.
     return float(f"{match[1]}e{DECIMAL_EXPONENT[match[2]]}")
+
+
+def bit_rate(text: str) -> float:
+    """Return bits per second: ``24k``, ``1.5M``, ``16000``."""
+    match = RATE.fullmatch(text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not a bit rate; write 24k, 1.5M or a number of bits per second")
+    return float(f"{match[1]}e{RATE_EXPONENT[match[2].lower()]}")
 
 
 def positive_number(text: str) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
+from threedvc.coding.gains import apply_gain
 from threedvc.config import EncoderConfig, RenderConfig
 from threedvc.decoder import Decoder, FrameState, rig_of
 from threedvc.encoder import Encoder, verified
@@ -234,7 +235,7 @@ class DecodedStream:
             T_view_camera = compose(inverse(seen_from), T_world_camera)
             poses = {number: compose(T_view_camera, pose) for number, pose in poses.items()}
             T_world_camera = seen_from
-        picture = self._picture(poses)
+        picture = self._picture(poses, state)
         return DecodedFrame(
             index=state.index,
             timestamp_ns=state.timestamp_ns,
@@ -245,13 +246,23 @@ class DecodedStream:
             T_camera_object={number: pose for number, pose in poses.items() if number},
         )
 
-    def _picture(self, poses: dict[int, Pose]) -> Picture:
+    def _picture(self, poses: dict[int, Pose], state: FrameState) -> Picture:
+        """Draw the objects; gain and shift are those of the camera that filmed, not of one on another path."""
         shown = {number: pose for number, pose in poses.items() if self._objects is None or number in self._objects}
         for number in shown:
             if number not in self._models:
                 self._models[number] = RenderModel(self.decoder.models[number])
             self._models[number].refresh(self._renderer.config.threads)
-        return self._renderer.draw(self._models, shown, color="color" in self._what)
+        filmed = self._camera_path is None
+        return self._renderer.draw(
+            self._models,
+            shown,
+            color="color" in self._what,
+            gain=apply_gain(state.gain) if filmed else None,
+            T_shifted_camera=state.T_shifted_camera if filmed else None,
+            backdrop=state.backdrop if self._objects is None or 0 in self._objects else None,
+            lights={number: light for number, light in state.lights.items() if number in shown},
+        )
 
 
 @contextmanager

@@ -3,26 +3,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from threedvc.errors import ConfigError
 from threedvc.parallel import default_threads
 
 __all__ = [
+    "AppearanceConfig",
     "ColorConfig",
     "EncoderConfig",
     "FusionConfig",
     "Motion",
     "PoseConfig",
+    "Preset",
     "RenderConfig",
     "SegmentationConfig",
     "SegmentationMode",
     "Sensor",
+    "with_preset",
+    "with_quality",
+    "with_step",
 ]
 
 MIN_VOXEL_SIZE_M = 0.0005
 MAX_VOXEL_SIZE_M = 1.0
+MIN_STEP, MAX_STEP = 0.5, 255.0
+MIN_BPS = 500
+MIN_LIVE_BPS = 8000
+MIDDLE_QUALITY = 50
+QUALITY_PER_STEP = 16
+QUALITY_PER_CELL = 50
+CHROMA_STEP = 1.75
+ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
 
 
 class Motion(StrEnum):
@@ -41,6 +54,19 @@ class Sensor(StrEnum):
     KINECT1 = "kinect1"
     REALSENSE = "realsense"
     LIDAR = "lidar"
+
+
+class Preset(StrEnum):
+    """How much work an encoder does.
+
+    LIVE sends each group of frames as soon as it is fused. FAST fuses every frame first and fits colours to the drawn
+    pictures. MEDIUM also calibrates the colour camera and refines all poses. SLOW goes on with that for longer.
+    """
+
+    LIVE = "live"
+    FAST = "fast"
+    MEDIUM = "medium"
+    SLOW = "slow"
 
 
 class SegmentationMode(StrEnum):
@@ -91,12 +117,36 @@ class FusionConfig:
 class ColorConfig:
     """Colour coding: quantisation steps in grey levels for luma and for chroma."""
 
-    luma_step: float = 16.0
-    chroma_step: float = 28.0
+    luma_step: float = 12.0
+    chroma_step: float = 21.0
 
     def __post_init__(self) -> None:
-        if self.luma_step < 1 or self.chroma_step < 1:
-            raise ConfigError(f"colour steps {self.luma_step}, {self.chroma_step} must be at least 1")
+        if not (MIN_STEP <= self.luma_step <= MAX_STEP and MIN_STEP <= self.chroma_step <= MAX_STEP):
+            raise ConfigError(
+                f"colour steps {self.luma_step}, {self.chroma_step} must be within {MIN_STEP}..{MAX_STEP}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AppearanceConfig:
+    """Fit of colours, gains and poses to the pictures that the decoder draws; files only.
+
+    Attributes
+    ----------
+    rounds
+        How often poses are aligned with the fitted colours; 0 fits colours and gains alone.
+    texture_scale
+        Colours along an edge of a cell: 1, 2 or 4.
+    """
+
+    rounds: int = 3
+    texture_scale: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.rounds <= 20:
+            raise ConfigError(f"rounds {self.rounds} of alignment must be within 0..20")
+        if self.texture_scale not in (1, 2, 4):
+            raise ConfigError(f"texture scale {self.texture_scale} must be 1, 2 or 4")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +173,13 @@ class EncoderConfig:
         Measurements beyond are ignored, or None.
     motion, sensor
         See `Motion` and `Sensor`.
+    cell_factor
+        By how much wider cells are than the object's distance suggests; of no meaning with `voxel_size_m`.
+    bitrate_bps
+        Bits per second that the stream shall take, or None. A file comes within 5 %, unless cells and steps have
+        reached their bounds; a live stream keeps below it with a buffer of `live_buffer_s`.
+    live_buffer_s
+        How many seconds' worth of bits a live stream may send at once.
     refine
         Calibrate the colour camera and register all frames again once the model is finished; needs
         frames that can be read more than once.
@@ -141,7 +198,11 @@ class EncoderConfig:
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     fusion: FusionConfig = field(default_factory=FusionConfig)
     color: ColorConfig = field(default_factory=ColorConfig)
+    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
+    cell_factor: float = 1.0
+    bitrate_bps: float | None = None
+    live_buffer_s: float = 1.0
     refine: bool = True
     causal: bool = False
     group_frames: int | None = None
@@ -154,10 +215,54 @@ class EncoderConfig:
             )
         if self.max_depth_m is not None and not self.max_depth_m > 0:
             raise ConfigError(f"maximum depth {self.max_depth_m} m must be positive")
+        if not 1 / 16 <= self.cell_factor <= 16:
+            raise ConfigError(f"cell factor {self.cell_factor} must be within 1/16..16")
+        least = MIN_LIVE_BPS if self.causal else MIN_BPS
+        if self.bitrate_bps is not None and not self.bitrate_bps >= least:
+            raise ConfigError(f"a rate of {self.bitrate_bps:g} bit/s is too low; give at least {least / 1000:g}k")
+        if not 0.1 <= self.live_buffer_s <= 60:
+            raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
         if self.group_frames is not None and self.group_frames < 1:
             raise ConfigError(f"group of {self.group_frames} frames must have at least one frame")
         if self.threads < 1:
             raise ConfigError(f"number of threads {self.threads} must be at least 1")
+
+
+def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
+    """Return the choices for a quality of 1 to 100; 50 is the default.
+
+    Sixteen more halve the quantisation steps of colours, fifty more the edge of a cell.
+
+    Raises
+    ------
+    ConfigError
+        If the quality is out of range.
+    """
+    if not 1 <= quality <= 100:
+        raise ConfigError(f"quality {quality} must be within 1..100")
+    middle = ColorConfig()
+    finer = 2.0 ** ((MIDDLE_QUALITY - quality) / QUALITY_PER_STEP)
+    return replace(
+        config,
+        color=with_step(middle.luma_step * finer),
+        cell_factor=2.0 ** ((MIDDLE_QUALITY - quality) / QUALITY_PER_CELL),
+    )
+
+
+def with_step(luma_step: float) -> ColorConfig:
+    """Return colour steps in their usual relation."""
+    return ColorConfig(luma_step=min(luma_step, MAX_STEP), chroma_step=min(CHROMA_STEP * luma_step, MAX_STEP))
+
+
+def with_preset(config: EncoderConfig, preset: Preset) -> EncoderConfig:
+    """Return the choices for an amount of work."""
+    if preset is Preset.LIVE:
+        return replace(config, causal=True)
+    return replace(
+        config,
+        refine=preset is not Preset.FAST,
+        appearance=replace(config.appearance, rounds=ROUNDS[preset]),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

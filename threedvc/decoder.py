@@ -9,38 +9,61 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threedvc.camera import Camera, CameraRig
+from threedvc.coding.gains import NEUTRAL, GainCoder
+from threedvc.coding.light import unpack_light
+from threedvc.coding.picture import decode_picture
 from threedvc.coding.poses import PoseCoder
+from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
 from threedvc.limits import MAX_COUNT
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
+    BackdropHeader,
     BatchHeader,
     ClockHeader,
     EndHeader,
+    GainHeader,
+    LightHeader,
     ModelHeader,
     ObjectHeader,
     Packet,
     PacketType,
     PoseHeader,
+    ShiftHeader,
     StreamHeader,
+    TextureHeader,
     check_supported,
     type_name,
     unpack_batch,
 )
 from threedvc.pose import Pose, compose, identity, inverse, make_pose
+from threedvc.rendering import Backdrop, Light
 from threedvc.report import StreamReport, unpack_report
 from threedvc.wire import ByteReader
 
 __all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "nearest_multiple", "rig_of"]
 
 DIGEST_BYTES = 16
-IN_BATCHES = frozenset({PacketType.OBJECT, PacketType.MODEL, PacketType.POSE, PacketType.CLOCK})
+IN_BATCHES = frozenset(
+    {
+        PacketType.OBJECT,
+        PacketType.MODEL,
+        PacketType.TEXTURE,
+        PacketType.POSE,
+        PacketType.SHIFT,
+        PacketType.GAIN,
+        PacketType.BACKDROP,
+        PacketType.LIGHT,
+        PacketType.CLOCK,
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,12 +78,24 @@ class FrameState:
         Pose of the depth camera.
     T_camera_object
         Pose of every object that has appeared, by number; 0 is the background.
+    T_shifted_camera
+        Shift of the depth camera for the colour picture: ``p_color = T_color_depth @ T_shifted_camera @ p_depth``.
+    gain
+        (3, 2) units of the colour camera's gain, see `threedvc.coding.gains`.
+    backdrop
+        What colours the background, or None.
+    lights
+        Light on objects, by number.
     """
 
     index: int
     timestamp_ns: int
     T_world_camera: Pose
     T_camera_object: Mapping[int, Pose]
+    T_shifted_camera: Pose
+    gain: NDArray[np.int64]
+    backdrop: Backdrop | None
+    lights: Mapping[int, Light]
 
 
 def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
@@ -114,9 +149,14 @@ def _camera(values: tuple[float, ...]) -> Camera:
 
 
 def _check_pose_count(members: Iterable[Packet]) -> None:
-    poses = sum(PoseHeader.from_map(member.header).count for member in members if member.type == PacketType.POSE)
+    headers: dict[int, type[PoseHeader | ShiftHeader | GainHeader]] = {
+        PacketType.POSE: PoseHeader,
+        PacketType.SHIFT: ShiftHeader,
+        PacketType.GAIN: GainHeader,
+    }
+    poses = sum(headers[member.type].from_map(member.header).count for member in members if member.type in headers)
     if poses > MAX_COUNT:
-        raise LimitExceeded(f"a BATCH holds {poses} poses, at most {MAX_COUNT} are accepted")
+        raise LimitExceeded(f"a BATCH holds {poses} poses, shifts and gains, at most {MAX_COUNT} are accepted")
 
 
 class Decoder:
@@ -144,6 +184,15 @@ class Decoder:
         self._coders: dict[int, PoseCoder] = {}
         self._next_coded: dict[int, int] = {}
         self._scripts: dict[int, Pose] = {}
+        self._shift = identity()
+        self._shifts: PoseCoder | None = None
+        self._next_shift = 0
+        self._lights: dict[int, NDArray[np.float64]] = {}
+        self._backdrop: Backdrop | None = None
+        self._hung = False
+        self._gain = NEUTRAL
+        self._gains: GainCoder | None = None
+        self._next_gain = 0
         self._correction = 0
         self._next_corrected = 0
 
@@ -183,6 +232,8 @@ class Decoder:
             raise CorruptStream("the stream has two STREAM packets")
         check_supported(header)
         self.header = header
+        self._shifts = PoseCoder(header.translation_step_m, header.rotation_step_rad)
+        self._gains = GainCoder(header.grey)
 
     def _batch(self, packet: Packet) -> Iterator[FrameState]:
         header = BatchHeader.from_map(packet.header)
@@ -218,6 +269,23 @@ class Decoder:
             header = PoseHeader.from_map(packet.header)
             for step, pose in enumerate(self._poses(header, packet.payload)):
                 yield header.frame + step, lambda pose=pose: self._move(header.object_id, pose)  # type: ignore[misc]
+        elif packet.type == PacketType.TEXTURE:
+            texture = TextureHeader.from_map(packet.header)
+            yield texture.frame, lambda: self._paint(texture.object_id, packet.payload)
+        elif packet.type == PacketType.SHIFT:
+            shift = ShiftHeader.from_map(packet.header)
+            for step, pose in enumerate(self._shifted(shift, packet.payload)):
+                yield shift.frame + step, lambda pose=pose: self._set_shift(pose)  # type: ignore[misc]
+        elif packet.type == PacketType.GAIN:
+            yield from self._expose(GainHeader.from_map(packet.header), packet.payload)
+        elif packet.type == PacketType.BACKDROP:
+            frame = BackdropHeader.from_map(packet.header).frame
+            yield frame, lambda: self._hang(packet.payload)
+        elif packet.type == PacketType.LIGHT:
+            light = LightHeader.from_map(packet.header)
+            self._known(light.object_id)
+            factors = unpack_light(packet.payload)
+            yield light.frame, lambda: self._shine(light.object_id, factors)
         elif packet.type == PacketType.CLOCK:
             yield from self._clock(ClockHeader.from_map(packet.header), packet.payload)
         elif packet.type == PacketType.META:
@@ -234,13 +302,43 @@ class Decoder:
         if header.object_id in self.models:
             raise CorruptStream(f"object {header.object_id} is introduced twice")
         assert self.header is not None
-        self.models[header.object_id] = DecodedModel(header.voxel_size_m)
+        self.models[header.object_id] = DecodedModel(header.voxel_size_m, 1 << header.texture_bits)
         self._coders[header.object_id] = PoseCoder(self.header.translation_step_m, self.header.rotation_step_rad)
         self._scripts[header.object_id] = identity()
 
     def _update(self, number: int, payload: bytes) -> None:
         model = self._known(number)
         model.apply(decode_update(payload, *model.cells()))
+
+    def _paint(self, number: int, payload: bytes) -> None:
+        model = self._known(number)
+        if model.texture is None:
+            raise CorruptStream(f"a TEXTURE names object {number}, which has none")
+        texels = model.bare_texels()
+        if not len(texels):
+            raise CorruptStream(f"a TEXTURE of object {number} comes when all its cells have one")
+        model.texture.paint(texels, decode_texture(payload, model, texels))
+
+    def _expose(self, header: GainHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
+        if self._gains is None or header.frame < self._next_gain:
+            raise CorruptStream(f"a GAIN from frame {header.frame} on follows one up to frame {self._next_gain - 1}")
+        self._next_gain = header.frame + header.count
+        for step, gain in enumerate(self._gains.decode(payload, header.count)):
+            yield header.frame + step, lambda gain=gain: self._set_gain(gain)  # type: ignore[misc]
+
+    def _shifted(self, header: ShiftHeader, payload: bytes) -> list[Pose]:
+        if self._shifts is None or header.frame < self._next_shift:
+            raise CorruptStream(f"a SHIFT from frame {header.frame} on follows one up to frame {self._next_shift - 1}")
+        if header.frame != self._next_shift:
+            self._shifts.hold()
+        self._next_shift = header.frame + header.count
+        return list(self._shifts.decode(payload, header.count))
+
+    def _set_shift(self, pose: Pose) -> None:
+        self._shift = pose
+
+    def _set_gain(self, gain: NDArray[np.int64]) -> None:
+        self._gain = gain
 
     def _poses(self, header: PoseHeader, payload: bytes) -> list[Pose]:
         self._known(header.object_id)
@@ -287,18 +385,45 @@ class Decoder:
         for frame in range(self.frame_count, stop):
             yield self._state(frame)
 
+    def _shine(self, number: int, factors: NDArray[np.float64]) -> None:
+        self._lights[number] = factors
+
+    def _hang(self, payload: bytes) -> None:
+        """Decode a backdrop; it is drawn from where the camera stands once all packets of the frame are applied."""
+        assert self.header is not None
+        camera = rig_of(self.header).color
+        picture = decode_picture(payload, camera.width, camera.height, self.header.grey)
+        self._backdrop = Backdrop(picture=picture, camera=camera, T_camera_world=identity())
+        self._hung = False
+
     def _state(self, frame: int) -> FrameState:
         assert self.header is not None
         nominal = self.header.start_ns + nearest_multiple(frame, self.header.period_num, self.header.period_den)
         timestamp, self._correction = nominal + self._correction, 0
         self.frame_count = frame + 1
         poses = camera_poses(self._scripts)
+        if self._backdrop is not None and not self._hung:
+            assert self.header is not None
+            T_color_camera = compose(rig_of(self.header).T_color_depth, self._shift)
+            self._backdrop = replace(
+                self._backdrop, T_camera_world=compose(T_color_camera, self._scripts.get(0, identity()))
+            )
+            self._hung = True
         return FrameState(
             index=frame,
             timestamp_ns=timestamp,
             T_world_camera=inverse(self._scripts.get(0, identity())),
             T_camera_object=poses,
+            T_shifted_camera=self._shift,
+            gain=self._gain,
+            backdrop=self._backdrop,
+            lights={number: self._light(number) for number in self._lights},
         )
+
+    def _light(self, number: int) -> Light:
+        """The script of an object holds its pose in the world; that of the background is the world."""
+        R = self._scripts[number][:3, :3] if number else np.eye(3)
+        return Light(factors=self._lights[number], R_world_object=R)
 
     def _end(self, header: EndHeader) -> Iterator[FrameState]:
         if self.header is None:

@@ -8,51 +8,66 @@ difference between what is to be seen and that state; a group without difference
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
 from threedvc.camera import Camera
 from threedvc.coding.color import ColorSettings
+from threedvc.coding.gains import GainCoder
+from threedvc.coding.light import pack_light
+from threedvc.coding.picture import can_code_pictures
 from threedvc.coding.poses import PoseCoder
+from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
-from threedvc.config import EncoderConfig
+from threedvc.config import EncoderConfig, RenderConfig, with_step
 from threedvc.decoder import models_digest, nearest_multiple
+from threedvc.finishing import Finish
 from threedvc.frame import NANOSECONDS, SequenceInfo
 from threedvc.limits import MAX_COUNT
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
+    BackdropHeader,
     BatchHeader,
     ClockHeader,
     EndHeader,
+    GainHeader,
+    LightHeader,
     ModelHeader,
     ObjectHeader,
     Packet,
     PoseHeader,
+    ShiftHeader,
     StreamHeader,
+    TextureHeader,
     pack_batch,
 )
-from threedvc.pose import Pose, compose, inverse
-from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface
+from threedvc.pose import Pose, compose, identity, inverse
+from threedvc.rate_control import LeakyBucket
+from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface, surest_part
+from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
 from threedvc.wire import pack_signed_varint
 
-__all__ = ["Emitter"]
+__all__ = ["Emitter", "surface_bytes"]
 
 MAX_STILL_GAP = 2
 MIN_LIVE_CELLS = 4
 """A live encoder lets fewer changed cells than these wait for more: their framing would outweigh them."""
 MAX_REST = MAX_COUNT // 2
+BATCH_BYTES = 48
+"""About what frames a BATCH and its packets."""
 
 
 class _Sent:
     """What the decoder has of one object, and what it would have if colours were not quantised."""
 
-    def __init__(self, item: SceneObject, config: EncoderConfig) -> None:
+    def __init__(self, item: SceneObject, config: EncoderConfig, texture_scale: int) -> None:
         self.item = item
-        self.model = DecodedModel(item.evidence.voxel_size_m)
+        self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale)
         self.wanted = DecodedModel(item.evidence.voxel_size_m)
         self.coder = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
         self.given: Pose | None = None
@@ -69,16 +84,25 @@ class Emitter:
         The scene; a live encoder adds frames to it between groups.
     config
         Choices.
+    finished
+        Colours and gains fitted to the pictures; None: the mean colours of the evidence, and no gains.
     """
 
-    def __init__(self, scene: Scene, config: EncoderConfig) -> None:
+    def __init__(self, scene: Scene, config: EncoderConfig, finished: Finish | None = None) -> None:
         self._scene, self._config, self._info = scene, config, scene.info
+        self._finished = finished
+        self._gains = GainCoder(scene.info.grey)
+        self._shifts = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
         self._sent: dict[int, _Sent] = {}
         self._color = ColorSettings(
             luma_step=config.color.luma_step, chroma_step=config.color.chroma_step, grey=scene.info.grey
         )
         self._clock = _clock(scene.info)
         self._batched = 0
+        self._bucket = None
+        if config.causal and config.bitrate_bps is not None:
+            self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
+        self._backdrop = self._worthwhile_backdrop()
 
     @property
     def digest(self) -> bytes:
@@ -117,14 +141,23 @@ class Emitter:
         last
             Whether no frame follows: the batch then holds every cell that is still due.
         """
+        if self._bucket is not None:
+            self._bucket.wait((stop - first) / self._info.fps)
         members = list(self._clock_packets(first, stop))
         for number in sorted(self._scene.objects):
             members += self._object(number, first, stop, last)
+        if not first and self._backdrop is not None:
+            members.append(BackdropHeader(frame=first).packet(self._backdrop))
+        members += self._shift_packets(first, stop)
+        members += self._gain_packets(first, stop)
         members += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
         if not members and stop - self._batched <= MAX_REST:
             return None
         self._batched = stop
-        return pack_batch(BatchHeader(frame=first, count=stop - first), members)
+        batch = pack_batch(BatchHeader(frame=first, count=stop - first), members)
+        if self._bucket is not None:
+            self._bucket.take(len(batch.payload) + BATCH_BYTES)
+        return batch
 
     def end(self) -> Packet:
         """Return the END packet."""
@@ -135,23 +168,123 @@ class Emitter:
         if number not in self._sent:
             if item.born is None or item.born >= stop:
                 return
-            self._sent[number] = _Sent(item, self._config)
-            yield ObjectHeader(object_id=number, voxel_size_m=item.evidence.voxel_size_m).packet()
+            scale = self._config.appearance.texture_scale if self._finished else 1
+            self._sent[number] = _Sent(item, self._config, scale)
+            yield ObjectHeader(
+                object_id=number, voxel_size_m=item.evidence.voxel_size_m, texture_bits=scale.bit_length() - 1
+            ).packet()
+            if self._finished is not None and number in self._finished.colors.lights:
+                yield LightHeader(object_id=number, frame=first).packet(
+                    pack_light(self._finished.colors.lights[number])
+                )
         sent = self._sent[number]
+        poses = list(self._poses(sent, first, stop))
         update = self._update(sent, None if last else stop)
         if update.size >= (MIN_LIVE_CELLS if self._config.causal and not last else 1):
-            payload, decoded = encode_update_with_result(update, *sent.model.cells(), self._color)
+            update, payload, decoded = self._affordable(update, sent, sum(len(packet.payload) for packet in poses))
             sent.model.apply(decoded)
             sent.wanted.apply(update)
             yield ModelHeader(object_id=number, frame=first).packet(payload)
-        yield from self._poses(sent, first, stop)
+            yield from self._texture(sent, first)
+        yield from poses
+
+    def _affordable(self, update: ModelUpdate, sent: _Sent, reserved: int) -> tuple[ModelUpdate, bytes, ModelUpdate]:
+        """Encode as much of an update as the bucket has room for, what is surest first; the rest waits.
+
+        Cells are taken by blocks, as single ones would cost more, in the order of how often the blocks were seen.
+        """
+        cells = sent.model.cells()
+        payload, decoded = encode_update_with_result(update, *cells, self._color)
+        while (
+            self._bucket is not None
+            and len(payload) > max(self._bucket.room - reserved - BATCH_BYTES, 0)
+            and update.size
+        ):
+            share = (self._bucket.room - reserved - BATCH_BYTES) / len(payload)
+            update = surest_part(update, sent.item.evidence, 0.9 * share)
+            payload, decoded = encode_update_with_result(update, *cells, self._color)
+        return update, payload, decoded
 
     def _update(self, sent: _Sent, until_frame: int | None) -> ModelUpdate:
         if self._config.causal:
             return changes(sent.item.evidence, sent.wanted, self._config.threads)
         if sent.final is None:
-            sent.final = in_regions(read_surface(sent.item.evidence, self._config.threads))
+            sent.final = in_regions(self._surface(sent.item))
         return first_sights(sent.final, sent.model, until_frame)
+
+    def _surface(self, item: SceneObject) -> Surface:
+        surface = read_surface(item.evidence, self._config.threads)
+        if self._finished is None:
+            return surface
+        if item.number == 0 and self._backdrop is not None:
+            return replace(surface, colors=np.zeros_like(surface.colors))
+        return replace(surface, colors=self._finished.colors.cell_colors(item.number)[1])
+
+    def _worthwhile_backdrop(self) -> bytes | None:
+        """Return the coded picture of the background if there is one, and it is worth its bytes.
+
+        Among qualities, and coloured cells instead, that of the least squared error plus price of the bits is
+        taken. A bit that quantises a cell's colour finer saves ``q^2 ln 2 / 6`` at every pixel of the cell: that
+        is the price.
+        """
+        finished = self._finished
+        if finished is None or finished.backdrop is None or not can_code_pictures():
+            return None
+        price = 8 * self._config.color.luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell
+        payload, cost = finished.backdrop.best(price)
+        return payload if cost < self._cost_of_cells(price) else None
+
+    def _cost_of_cells(self, price: float) -> float:
+        """Return what colouring the cells of the background costs, in bytes and in squared error."""
+        assert self._finished is not None
+        assert self._finished.backdrop is not None
+        threads, item = self._config.threads, self._scene.objects[0]
+        surface = replace(read_surface(item.evidence, threads), colors=self._finished.colors.cell_colors(0)[1])
+        size, flat_size = (self._size_of(each)[0] for each in (surface, replace(surface, colors=0 * surface.colors)))
+        model = RenderModel(self._size_of(surface)[1])
+        model.refresh(threads)
+        renderer = Renderer(self._info.rig, RenderConfig(supersample=1, threads=threads))
+        drawn = renderer.draw({0: model}, {0: item.poses[0]}).color
+        return self._finished.backdrop.error(drawn) + price * (size - flat_size)
+
+    def _size_of(self, surface: Surface) -> tuple[int, DecodedModel]:
+        """Return the bytes of a surface sent at once, and the model with it."""
+        model = DecodedModel(self._scene.objects[0].evidence.voxel_size_m)
+        payload, decoded = encode_update_with_result(first_sights(surface, model, None), *model.cells(), self._color)
+        model.apply(decoded)
+        return len(payload), model
+
+    def _texture(self, sent: _Sent, frame: int) -> Iterator[Packet]:
+        """Yield the colours of the texels of cells that were just sent."""
+        if self._finished is None or sent.model.texture is None:
+            return
+        texels = sent.model.bare_texels()
+        if not len(texels):
+            return
+        owners = sent.model.index.locate(texels // sent.model.texture.scale)
+        colors = self._finished.colors.texel_colors(sent.item.number, texels, sent.model.color.reshape(-1, 3)[owners])
+        payload, decoded = encode_texture(sent.model, texels, colors, self._color)
+        sent.model.texture.paint(texels, decoded)
+        yield TextureHeader(object_id=sent.item.number, frame=frame).packet(payload)
+
+    def _shift_packets(self, first: int, stop: int) -> Iterator[Packet]:
+        """Yield the shifts of a group, unless there are none at all."""
+        if self._finished is None or all(np.array_equal(shift, identity()) for shift in self._finished.shifts):
+            return
+        payload = self._shifts.encode(self._finished.shifts[first:stop])
+        yield ShiftHeader(frame=first, count=stop - first).packet(payload)
+
+    def _gain_packets(self, first: int, stop: int) -> Iterator[Packet]:
+        """Yield the gains from the first frame of a group in which they change to the last."""
+        if self._finished is None:
+            return
+        gains = self._finished.gains[first:stop]
+        before = np.concatenate([self._gains.last[None], gains[:-1]])
+        changes = np.flatnonzero((gains != before).any(axis=(1, 2)))
+        if len(changes):
+            start, end = int(changes[0]), int(changes[-1]) + 1
+            payload = self._gains.encode(gains[start:end])
+            yield GainHeader(frame=first + start, count=end - start).packet(payload)
 
     def _poses(self, sent: _Sent, first: int, stop: int) -> Iterator[Packet]:
         """Yield a packet for every run of frames in which the object moves."""
@@ -194,6 +327,18 @@ class Emitter:
         off = [stamp - due for stamp, due in zip(self._scene.timestamps[first:stop], nominal, strict=True)]
         if any(off):
             yield ClockHeader(frame=first, count=stop - first).packet(b"".join(map(pack_signed_varint, off)))
+
+
+def surface_bytes(scene: Scene, luma_step: float) -> int:
+    """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step."""
+    steps = with_step(luma_step)
+    settings = ColorSettings(luma_step=steps.luma_step, chroma_step=steps.chroma_step, grey=scene.info.grey)
+    total = 0
+    for item in scene.objects.values():
+        empty = DecodedModel(item.evidence.voxel_size_m)
+        surface = read_surface(item.evidence, scene.config.threads)
+        total += len(encode_update_with_result(first_sights(surface, empty, None), *empty.cells(), settings)[0])
+    return total
 
 
 def _runs(moving: Sequence[bool]) -> list[tuple[int, int]]:

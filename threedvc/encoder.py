@@ -9,16 +9,21 @@ out in the end. A live encoder sends each group as soon as it is fused.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import replace
 from typing import TypeAlias, cast
 
-from threedvc.config import EncoderConfig
+import numpy as np
+
+from threedvc.config import EncoderConfig, with_step
 from threedvc.decoder import Decoder
-from threedvc.emitter import Emitter
+from threedvc.emitter import Emitter, surface_bytes
 from threedvc.errors import CorruptStream, SequenceError
+from threedvc.finishing import Finish, align, finish
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
+from threedvc.rate_control import MIDDLE_STEP, cell_factor, closest_below, stream_bytes
 from threedvc.refinement import calibrated_rig, refined_script
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
@@ -74,13 +79,33 @@ class Encoder:
         if self.config.causal:
             yield from self._live(frames, on_frame)
             return
+        again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
         self._fuse_all(frames, on_frame)
-        if self.config.refine and isinstance(frames, Sized) and hasattr(frames, "__getitem__"):
-            self._refine(cast(FrameSequence, frames), on_frame)
-        emitter = self._emitter()
-        yield emitter.stream()
-        yield from self._batches(emitter, 0, last=True)
-        yield emitter.end()
+        finished = None
+        if again:
+            finished = self._finish(cast(FrameSequence, frames), on_frame)
+        yield from self._rated(finished)
+
+    def _rated(self, finished: Finish | None) -> list[Packet]:
+        """Return all packets, of the wanted number of bytes if there is one."""
+        target = self._target_bytes
+        if target is None:
+            return self._everything(finished, self.config)
+
+        def made(step: float) -> tuple[int, list[Packet]]:
+            packets = self._everything(finished, replace(self.config, color=with_step(step)))
+            return stream_bytes(packets), packets
+
+        return closest_below(made, target)
+
+    def _everything(self, finished: Finish | None, config: EncoderConfig) -> list[Packet]:
+        emitter = self._emitter(finished, config)
+        return [emitter.stream(), *self._batches(emitter, 0, last=True), emitter.end()]
+
+    @property
+    def _target_bytes(self) -> float | None:
+        rate = self.config.bitrate_bps
+        return None if rate is None else rate * len(self.reports) / self.info.fps / 8
 
     def _live(self, frames: Iterable[Frame], on_frame: OnFrame | None) -> Iterator[Packet]:
         """Send each group when the first frame after it comes, so that the last group is known to be it."""
@@ -105,16 +130,38 @@ class Encoder:
         for frame in frames:
             self._take(frame, on_frame)
 
-    def _refine(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
-        """Calibrate, register again, and fuse anew."""
+    def _finish(self, frames: FrameSequence, on_frame: OnFrame | None) -> Finish | None:
+        """Choose cells, calibrate, register again, fuse anew, and fit to the pictures that the decoder draws."""
         if not any(item.evidence.index.count for item in self.scene.objects.values()):
+            return None
+        self._fit_cells(frames, on_frame)
+        shifts = None
+        if self.config.refine:
+            rig = calibrated_rig(self.scene, frames)
+            if rig is not None:
+                known = {number: item.found for number, item in self.scene.objects.items()}
+                self.scene = Scene(replace(self.info, rig=rig), self.config, known)
+                self._fuse_all(frames, on_frame)
+            self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
+            if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
+                script, shifts = align(self.scene, frames, self.config.appearance.rounds)
+                self._fuse_again(frames, on_frame, script)
+        return finish(self.scene, frames, shifts)
+
+    def _fit_cells(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Take wider or narrower cells if the bit rate asks for them; those before a backdrop stay as they are."""
+        target = self._target_bytes
+        if target is None or self.config.voxel_size_m is not None or self.scene.at_rest(0):
             return
-        rig = calibrated_rig(self.scene, frames)
-        if rig is not None:
-            found = {number: item.found for number, item in self.scene.objects.items()}
-            self.scene = Scene(replace(self.info, rig=rig), self.config, found)
-            self._fuse_all(frames, on_frame)
-        script = refined_script(self.scene, frames)
+        size = surface_bytes(self.scene, MIDDLE_STEP)
+        factor = cell_factor(size, len(self.reports), target)
+        if factor != 1:
+            self.config = replace(self.config, cell_factor=float(np.clip(self.config.cell_factor * factor, 1 / 16, 16)))
+            self._fuse_again(frames, on_frame, {number: item.found for number, item in self.scene.objects.items()})
+
+    def _fuse_again(
+        self, frames: FrameSequence, on_frame: OnFrame | None, script: Mapping[int, Sequence[Located | None]]
+    ) -> None:
         self.scene = Scene(self.scene.info, self.config, script)
         self._fuse_all(frames, on_frame)
 
@@ -131,12 +178,12 @@ class Encoder:
         if on_frame is not None:
             on_frame(report)
 
-    def _emitter(self) -> Emitter:
+    def _emitter(self, finished: Finish | None = None, config: EncoderConfig | None = None) -> Emitter:
         if not self.reports:
             raise SequenceError(f"{self.info.name} has no frames")
         if not self.config.causal and not any(item.evidence.index.count for item in self.scene.objects.values()):
             raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
-        return Emitter(self.scene, self.config)
+        return Emitter(self.scene, config or self.config, finished)
 
     def _batches(self, emitter: Emitter, first: int, *, last: bool) -> Iterator[Packet]:
         """Yield the batches of the frames from `first` on that were taken in."""

@@ -21,6 +21,7 @@ __all__ = [
     "MAX_INDEX_ENTRIES",
     "MAX_OBJECT_ID",
     "MAX_PAYLOAD_BYTES",
+    "MAX_TEXTURE_BITS",
 ]
 
 MAX_HEADER_BYTES: Final = 4096
@@ -52,3 +53,6 @@ MAX_FRAME: Final = (1 << 31) - 1
 
 MAX_COUNT: Final = 1 << 20
 """Frames that one packet speaks of, or that pass without a BATCH; poses in a BATCH."""
+
+MAX_TEXTURE_BITS: Final = 2
+"""Binary logarithm of the number of texels along an edge of a cell."""

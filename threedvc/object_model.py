@@ -16,11 +16,21 @@ from numpy.typing import NDArray
 
 from threedvc.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex
 from threedvc.errors import CorruptStream
+from threedvc.kernels.render_blocks import fit_planes
 from threedvc.model_update import ModelUpdate
+from threedvc.parallel import for_ranges
+from threedvc.texture import ColorGrid, Texture, texels_of
 
-__all__ = ["DecodedModel", "EvidenceModel"]
+__all__ = ["DecodedModel", "EvidenceModel", "shifted_blocks"]
 
 DIGEST_BYTES = 16
+PLANE_WEIGHTS = np.array([0.25, 0.75, 1.0, 0.75, 0.25])
+
+
+def shifted_blocks(blocks: NDArray[np.int32], shifts: tuple[int, ...]) -> NDArray[np.int32]:
+    """Return the distinct blocks reached from `blocks` (n, 3) by any combination of shifts."""
+    offsets = np.array([(x, y, z) for x in shifts for y in shifts for z in shifts], dtype=np.int32)
+    return np.unique((blocks[:, None] + offsets).reshape(-1, 3), axis=0)
 
 
 class DecodedModel:
@@ -36,17 +46,24 @@ class DecodedModel:
         (blocks, 512) uint8.
     color
         (blocks, 512, 3) int16 RGB; 0 in empty cells.
+    planes
+        (blocks, 512, 4) int8 planes of the occupied cells, as of the last call of `fit_planes`.
+    texture
+        Colours of parts of cells, or None for an object without.
     version
         Number of updates applied.
     """
 
-    def __init__(self, voxel_size_m: float) -> None:
+    def __init__(self, voxel_size_m: float, texture_scale: int = 1) -> None:
         self.voxel_size_m = voxel_size_m
+        self.texture = Texture(texture_scale) if texture_scale > 1 else None
         self.index = BlockIndex()
         self.occupied = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.color = np.zeros((0, BLOCK_CELLS, 3), dtype=np.int16)
+        self.planes = np.zeros((0, BLOCK_CELLS, 4), dtype=np.int8)
         self.cell_count = 0
         self.version = 0
+        self._planes_version = 0
         self._changed = np.zeros(0, dtype=np.int64)
 
     def cells(self) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
@@ -76,6 +93,46 @@ class DecodedModel:
         self.cell_count += len(added) - len(removed)
         self.version += 1
         self._changed[np.concatenate([added, removed, recolored]) // BLOCK_CELLS] = self.version
+        if self.texture is not None:
+            self.texture.erase(np.concatenate([update.removed, update.recolored]))
+
+    def fit_planes(self, threads: int = 1) -> None:
+        """Bring `planes` up to date."""
+        changed, self._planes_version = self.changed_since(self._planes_version), self.version
+        if not len(changed):
+            return
+        if len(self.occupied) > len(self.planes):
+            more = np.zeros((len(self.occupied) - len(self.planes), BLOCK_CELLS, 4), dtype=np.int8)
+            self.planes = np.concatenate([self.planes, more])
+        positions = self.index.locate(shifted_blocks(changed, (-1, 0, 1)) * BLOCK_SIDE)
+        numbers = positions[positions >= 0] // BLOCK_CELLS
+
+        def plane_range(start: int, stop: int) -> None:
+            fit_planes(
+                numbers, start, stop, self.index.coords, self.index.tables, self.occupied, PLANE_WEIGHTS, self.planes
+            )
+
+        for_ranges(plane_range, len(numbers), threads)
+
+    def bare_texels(self) -> NDArray[np.int32]:
+        """Return the texels (n, 3), in Morton order, of the occupied cells that have none with a colour yet.
+
+        Which texels a cell has depends on the cells around it at this moment.
+        """
+        assert self.texture is not None
+        self.fit_planes()
+        cells, positions = self.index.flagged(self.occupied[: self.index.count])
+        texels, _ = self.texture.texels()
+        painted = self.index.locate(np.unique(texels // self.texture.scale, axis=0))
+        bare = np.ones(self.occupied.size, dtype=bool)
+        bare[painted[painted >= 0]] = False
+        chosen = bare[positions]
+        return texels_of(cells[chosen], self.planes.reshape(-1, 4)[positions[chosen]], self.texture.scale)
+
+    def color_grids(self) -> list[ColorGrid]:
+        """Return where to look a colour up, the finest first."""
+        own = ColorGrid(self.voxel_size_m, self.index.tables, self.occupied.reshape(-1), self.color.reshape(-1, 3))
+        return [own] if self.texture is None else [self.texture.grid(self.voxel_size_m), own]
 
     def changed_since(self, version: int) -> NDArray[np.int32]:
         """Return the coordinates (n, 3) of blocks that updates after `version` touched."""
@@ -88,6 +145,10 @@ class DecodedModel:
         state.update(np.float64(self.voxel_size_m).tobytes())
         state.update(cells.astype("<i4").tobytes())
         state.update(colors.astype("<i2").tobytes())
+        if self.texture is not None:
+            texels, texel_colors = self.texture.texels()
+            state.update(texels.astype("<i4").tobytes())
+            state.update(texel_colors.astype("<i2").tobytes())
         return state.digest()[:DIGEST_BYTES]
 
     def _positions(self, cells: NDArray[np.int32], *, present: bool) -> NDArray[np.int64]:

@@ -22,6 +22,7 @@ from threedvc.limits import (
     MAX_HEADER_BYTES,
     MAX_OBJECT_ID,
     MAX_PAYLOAD_BYTES,
+    MAX_TEXTURE_BITS,
 )
 from threedvc.wire import ByteReader, pack_map, pack_varint, unpack_map
 
@@ -31,18 +32,23 @@ __all__ = [
     "READER_VERSION",
     "RESERVED_TYPES",
     "TOP_LEVEL_TYPES",
+    "BackdropHeader",
     "BatchHeader",
     "ClockHeader",
     "EndHeader",
+    "GainHeader",
     "Header",
+    "LightHeader",
     "ModelHeader",
     "ObjectHeader",
     "Packet",
     "PacketFlag",
     "PacketType",
     "PoseHeader",
+    "ShiftHeader",
     "SnapshotHeader",
     "StreamHeader",
+    "TextureHeader",
     "check_supported",
     "is_understood",
     "pack_batch",
@@ -77,9 +83,13 @@ class PacketType(IntEnum):
     BATCH = 11
     INDEX = 12
     END = 13
+    TEXTURE = 14
+    SHIFT = 15
+    BACKDROP = 16
+    LIGHT = 17
 
 
-RESERVED_TYPES = frozenset({PacketType.GAIN, PacketType.SNAPSHOT, PacketType.RESIDUAL})
+RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
 """Types whose payload has no coding yet: to this reader they are unknown."""
 
 TOP_LEVEL_TYPES = frozenset(
@@ -266,12 +276,15 @@ class ObjectHeader(Header):
         Number; 0 is the background, whose frame is the world.
     voxel_size_m
         Edge length of a cell.
+    texture_bits
+        Texels along an edge of a cell, as a power of two; 0: the object has no texture.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.OBJECT
 
     object_id: int = key("o", integer(0, MAX_OBJECT_ID))
     voxel_size_m: float = key("h", number(1e-6, 1e3))
+    texture_bits: int = key("t", integer(0, MAX_TEXTURE_BITS), default=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,6 +292,58 @@ class ModelHeader(Header):
     """A model update, applied before `frame` is drawn."""
 
     packet_type: ClassVar[PacketType] = PacketType.MODEL
+
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureHeader(Header):
+    """Colours of the texels of all cells of an object that have none yet, after its update of the same frame."""
+
+    packet_type: ClassVar[PacketType] = PacketType.TEXTURE
+
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainHeader(Header):
+    """Gains of the colour camera in `count` consecutive frames from `frame` on; the last one stays otherwise."""
+
+    packet_type: ClassVar[PacketType] = PacketType.GAIN
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+    count: int = key("n", integer(1, MAX_COUNT), default=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftHeader(Header):
+    """Where the depth camera of `count` frames from `frame` on stood when the colour picture was taken.
+
+    Colour and depth are seldom taken at the same instant, nor a whole picture at one; the last shift stays otherwise.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.SHIFT
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+    count: int = key("n", integer(1, MAX_COUNT), default=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackdropHeader(Header):
+    """A picture that colours the background, as the colour camera of `frame` sees it, from that frame on."""
+
+    packet_type: ClassVar[PacketType] = PacketType.BACKDROP
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightHeader(Header):
+    """The light on an object from `frame` on; it stands still in the world while the object turns."""
+
+    packet_type: ClassVar[PacketType] = PacketType.LIGHT
 
     object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
     frame: int = key("f", integer(0, MAX_FRAME))

@@ -3,6 +3,7 @@
 
 The finished model knows more than the model so far did when each frame was fused: the colour camera is
 calibrated against it, every frame's poses are registered with it once more, and all frames are fused anew.
+What the decoder will draw is fitted to the pictures afterwards (`threedvc.finishing`).
 """
 
 from __future__ import annotations

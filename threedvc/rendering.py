@@ -15,23 +15,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.block_index import BLOCK_CELLS, BlockIndex
-from threedvc.camera import CameraRig
+from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
 from threedvc.kernels.hole_filling import pull, push
 from threedvc.kernels.ray_sampling import interpolate_between
 from threedvc.kernels.raycast import OPACITY, cast_rays
-from threedvc.kernels.render_blocks import build_block, fit_planes
-from threedvc.object_model import DecodedModel
+from threedvc.kernels.render_blocks import build_block
+from threedvc.kernels.shading import relight, shade, shade_from_picture
+from threedvc.object_model import DecodedModel, shifted_blocks
 from threedvc.parallel import for_ranges
-from threedvc.pose import Pose, compose
+from threedvc.pose import Pose, compose, identity, inverse
 from threedvc.ray_grid import RayGrid, cells_from_camera
+from threedvc.texture import ColorGrid
 
-__all__ = ["Picture", "RenderModel", "Renderer"]
+__all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unknown"]
 
 BORDERED_CELLS = 9**3
-PLANE_WEIGHTS = np.array([0.25, 0.75, 1.0, 0.75, 0.25])
 SMALL_PICTURE = 320 * 240
 MIN_RAYS_PER_CELL = 2.5
+SAME_PLACE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Backdrop:
+    """A picture that colours the background.
+
+    Attributes
+    ----------
+    picture
+        (h, w, 3) uint8 RGB.
+    camera
+        The camera that sees it.
+    T_camera_world
+        Pose of that camera.
+    """
+
+    picture: NDArray[np.uint8]
+    camera: Camera
+    T_camera_world: Pose
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Light:
+    """Light on an object.
+
+    Attributes
+    ----------
+    factors
+        (8,) float64, see `threedvc.kernels.shading.light_basis`.
+    R_world_object
+        (3, 3) turn of the object in the world, where the light stands still.
+    """
+
+    factors: NDArray[np.float64]
+    R_world_object: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,50 +99,30 @@ class RenderModel:
         self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.corners = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
-        self.color = np.zeros((0, BORDERED_CELLS, 3), dtype=np.int16)
-        self._planes = np.zeros((0, BLOCK_CELLS, 4), dtype=np.int8)
         self._version = 0
 
     def refresh(self, threads: int) -> None:
         """Rebuild the blocks around everything that changed since the last call."""
         model = self.model
+        model.fit_planes(threads)
         changed, self._version = model.changed_since(self._version), model.version
         if not len(changed):
             return
-        if len(model.occupied) > len(self._planes):
-            more = np.zeros((len(model.occupied) - len(self._planes), BLOCK_CELLS, 4), dtype=np.int8)
-            self._planes = np.concatenate([self._planes, more])
-        around = _shifted(changed, (-1, 0, 1))
-        positions = model.index.locate(around * 8)
-        numbers = positions[positions >= 0] // BLOCK_CELLS
-
-        def plane_range(start: int, stop: int) -> None:
-            fit_planes(
-                numbers,
-                start,
-                stop,
-                model.index.coords,
-                model.index.tables,
-                model.occupied,
-                PLANE_WEIGHTS,
-                self._planes,
-            )
-
-        for_ranges(plane_range, len(numbers), threads)
-        self._build(_shifted(model.index.coords[numbers], (-1, 0)), threads)
+        around = shifted_blocks(changed, (-1, 0, 1))
+        here = around[model.index.locate(around * 8) >= 0]
+        self._build(shifted_blocks(here, (-1, 0)), threads)
 
     def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
         skip = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
         corners = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
         plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
-        color = np.empty((len(blocks), BORDERED_CELLS, 3), dtype=np.int16)
         targets = np.arange(len(blocks))
         model = self.model
 
         def block_range(start: int, stop: int) -> None:
             build_block(
-                targets, blocks, start, stop, model.index.tables, model.occupied, self._planes, model.color, skip,
-                corners, plane, color,
+                targets, blocks, start, stop, model.index.tables, model.occupied, model.planes, skip, corners,
+                plane,
             )  # fmt: skip
 
         for_ranges(block_range, len(blocks), threads)
@@ -113,22 +130,15 @@ class RenderModel:
         self.index.insert(blocks[keep])
         self._grow()
         slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
-        self.skip[slots], self.corners[slots] = skip[keep], corners[keep]
-        self.plane[slots], self.color[slots] = plane[keep], color[keep]
+        self.skip[slots], self.corners[slots], self.plane[slots] = skip[keep], corners[keep], plane[keep]
 
     def _grow(self) -> None:
         more = max(self.index.count, len(self.skip) * 3 // 2) - len(self.skip)
         if self.index.count <= len(self.skip):
             return
-        for name in ("skip", "corners", "plane", "color"):
+        for name in ("skip", "corners", "plane"):
             array = getattr(self, name)
             setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
-
-
-def _shifted(blocks: NDArray[np.int32], shifts: tuple[int, ...]) -> NDArray[np.int32]:
-    """Return the distinct blocks reached from `blocks` (n, 3) by any combination of shifts."""
-    offsets = np.array([(x, y, z) for x in shifts for y in shifts for z in shifts], dtype=np.int32)
-    return np.unique((blocks[:, None] + offsets).reshape(-1, 3), axis=0)
 
 
 class Renderer:
@@ -151,7 +161,17 @@ class Renderer:
         one_cast = rig.registered and self.supersample == 1
         self._color_rays = self._depth_rays if one_cast else RayGrid(rig.color, self.supersample)
 
-    def draw(self, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], *, color: bool = True) -> Picture:
+    def draw(
+        self,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        *,
+        color: bool = True,
+        gain: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
+        T_shifted_camera: Pose | None = None,
+        backdrop: Backdrop | None = None,
+        lights: Mapping[int, Light] | None = None,
+    ) -> Picture:
         """Draw one frame.
 
         Parameters
@@ -162,6 +182,14 @@ class Renderer:
             T_camera_object of every object to draw, for the depth camera.
         color
             False leaves the colour picture black and saves its rays.
+        gain
+            Gain and offset (3,) float32 of each channel, applied to the drawn colours; None: none.
+        T_shifted_camera
+            Shift of the depth camera between depth and colour picture; None: none.
+        backdrop
+            A picture that colours object 0 where it shows it; None: none.
+        lights
+            Light on objects, by number; the others look the same from all sides.
 
         Returns
         -------
@@ -170,27 +198,38 @@ class Renderer:
             from around.
         """
         rig, rays = self.rig, self._depth_rays
-        one_cast = self._color_rays is rays
-        depth, shade, labels = self._cast(rays, models, poses, color and one_cast)
-        if color and not one_cast:
-            moved = {number: compose(rig.T_color_depth, poses[number]) for number in poses}
-            hit, shade, _ = self._cast(self._color_rays, models, moved, True)
-        else:
-            hit = depth
-        picture = self._pixels(shade, hit) if color else np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
+        depth, labels = self.cast(rays, models, poses)
+        picture = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
+        still = T_shifted_camera is None or np.array_equal(T_shifted_camera, identity())
+        if color and still and self._color_rays is rays:
+            picture = self._pixels(*self._shade(rays, models, poses, depth, labels, backdrop, lights or {}), gain)
+        elif color:
+            T = rig.T_color_depth if T_shifted_camera is None else compose(rig.T_color_depth, T_shifted_camera)
+            moved = {number: compose(T, poses[number]) for number in poses}
+            met = self.cast(self._color_rays, models, moved)
+            picture = self._pixels(*self._shade(self._color_rays, models, moved, *met, backdrop, lights or {}), gain)
         shape = (rig.depth.height, rig.depth.width)
         return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape))
 
-    def _cast(
-        self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], with_color: bool
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
-        """Cast every second ray of every second row, then those between that cannot be interpolated."""
+    def cast(
+        self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose]
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Find what every ray meets first.
+
+        Every second ray of every second row is cast, then those between that cannot be interpolated.
+
+        Returns
+        -------
+        depth
+            (rays,) metres along z, 0 where nothing is met.
+        labels
+            (rays,) numbers of the objects.
+        """
         count = len(rays.slopes)
         depth = np.zeros(count, dtype=np.float32)
-        color = np.zeros((count, 3), dtype=np.float32)
         labels = np.zeros(count, dtype=np.uint8)
         casts = [
-            self._caster(rays, models[number], number, poses[number], with_color, depth, color, labels)
+            self._caster(rays, models[number], number, poses[number], depth, labels)
             for number in sorted(poses)
             if models[number].index.count
         ]
@@ -202,13 +241,13 @@ class Renderer:
         if shown and _cell_is_wide(min(shown), depth[rays.sparse], rays.fx):
 
             def between(start: int, stop: int) -> None:
-                interpolate_between(start, stop, rays.width, rays.height, depth, color, labels, wanted)
+                interpolate_between(start, stop, rays.width, rays.height, depth, labels, wanted)
 
             for_ranges(between, (rays.height + 1) // 2, self.config.threads)
         rest = rays.order[wanted[rays.order] != 0]
         for cast in casts:
             cast(rest)
-        return depth, color, labels
+        return depth, labels
 
     def _caster(
         self,
@@ -216,9 +255,7 @@ class Renderer:
         model: RenderModel,
         number: int,
         pose: Pose,
-        with_color: bool,
         depth: NDArray[np.float32],
-        color: NDArray[np.float32],
         labels: NDArray[np.uint8],
     ) -> Callable[[NDArray[np.int64]], None]:
         """Return a function that casts the rays of given numbers into one object."""
@@ -229,23 +266,86 @@ class Renderer:
             def ray_range(start: int, stop: int) -> None:
                 cast_rays(
                     rays.slopes, order, start, stop, T_cells_camera, rays.origin, rays.size, near, far,
-                    model.index.coords, model.index.tables, model.skip, model.corners, model.plane, model.color, number,
-                    with_color, OPACITY, depth, color, labels,
+                    model.index.tables, model.skip, model.corners, model.plane, number, OPACITY, depth, labels,
                 )  # fmt: skip
 
             for_ranges(ray_range, len(order), self.config.threads)
 
         return cast
 
-    def _pixels(self, color: NDArray[np.float32], depth: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def _shade(
+        self,
+        rays: RayGrid,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+        backdrop: Backdrop | None,
+        lights: Mapping[int, Light],
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return colours (rays, 3) and which of them are known (rays,): those of rays that met a coloured cell."""
+        color, known = np.zeros((len(depth), 3), dtype=np.float32), np.zeros(len(depth), dtype=np.uint8)
+        if backdrop is not None:
+            T_picture_camera = compose(backdrop.T_camera_world, inverse(poses.get(0, identity())))
+            beyond = bool(np.abs(T_picture_camera - np.eye(4)).max() < SAME_PLACE)
+
+            def picture_range(start: int, stop: int) -> None:
+                shade_from_picture(
+                    start, stop, rays.slopes, depth, labels, T_picture_camera[:3], backdrop.camera.parameters(),
+                    backdrop.picture, beyond, color, known,
+                )  # fmt: skip
+
+            for_ranges(picture_range, len(depth), self.config.threads)
+        for number in sorted(poses):
+            for grid in models[number].model.color_grids():
+                T = cells_from_camera(poses[number], grid.cell_size_m)
+
+                def ray_range(start: int, stop: int, grid: ColorGrid = grid, T: Pose = T, number: int = number) -> None:
+                    shade(
+                        start, stop, rays.slopes, depth, labels, number, T, grid.tables, grid.colored, grid.colors,
+                        color, known,
+                    )  # fmt: skip
+
+                for_ranges(ray_range, len(depth), self.config.threads)
+            if number in lights:
+                self._relight(rays, models[number].model, number, poses[number], lights[number], depth, labels, color)
+        return color, known
+
+    def _relight(
+        self,
+        rays: RayGrid,
+        model: DecodedModel,
+        number: int,
+        pose: Pose,
+        light: Light,
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+        color: NDArray[np.float32],
+    ) -> None:
+        T = cells_from_camera(pose, model.voxel_size_m)
+
+        def ray_range(start: int, stop: int) -> None:
+            relight(
+                start, stop, rays.slopes, depth, labels, number, T, light.R_world_object, light.factors,
+                model.index.tables, model.occupied.reshape(-1), model.planes.reshape(-1, 4), color,
+            )  # fmt: skip
+
+        for_ranges(ray_range, len(depth), self.config.threads)
+
+    def _pixels(
+        self,
+        color: NDArray[np.float32],
+        known: NDArray[np.uint8],
+        gain: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
+    ) -> NDArray[np.uint8]:
         """Average the rays of each pixel and fill what none of them hit."""
         camera, s = self.rig.color, self.supersample
         if s == 1:
             value: NDArray[np.float32] = color.reshape(camera.height, camera.width, 3)
-            known = (depth > 0).astype(np.uint8).reshape(camera.height, camera.width)
+            known = known.reshape(camera.height, camera.width)
         else:
             shade = color.reshape(camera.height, s, camera.width, s, 3)
-            hits = (depth > 0).astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
+            hits = known.astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
             rays = [(i, j) for i in range(s) for j in range(s)]
             weight = np.zeros((camera.height, camera.width, 1), np.float32)
             total = np.zeros((camera.height, camera.width, 3), np.float32)
@@ -254,7 +354,9 @@ class Renderer:
                 total += shade[:, i, :, j]
             value = np.asarray(total / np.maximum(weight, np.float32(1)), dtype=np.float32)
             known = (weight[..., 0] > 0).astype(np.uint8)
-        _fill(value, known)
+        fill_unknown(value, known)
+        if gain is not None:
+            value = value * gain[0] + gain[1]
         return np.asarray(np.clip(value, 0, 255) + np.float32(0.5)).astype(np.uint8)
 
 
@@ -264,12 +366,12 @@ def _cell_is_wide(voxel_size_m: float, depth: NDArray[np.float32], fx: float) ->
     return len(hits) > 0 and voxel_size_m * fx >= MIN_RAYS_PER_CELL * float(np.median(hits))
 
 
-def _fill(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:
+def fill_unknown(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:
     """Fill pixels (h, w, 3) where `known` (h, w) is 0 from ever coarser levels (pull-push)."""
     if known.all() or value.shape[0] * value.shape[1] == 1:
         return
     height, width = -(-value.shape[0] // 2), -(-value.shape[1] // 2)
     coarse, coarse_known = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.uint8)
     pull(value, known, coarse, coarse_known)
-    _fill(coarse, coarse_known)
+    fill_unknown(coarse, coarse_known)
     push(value, known, coarse)

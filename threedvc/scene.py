@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
-from threedvc.config import EncoderConfig, Motion, SegmentationMode, Sensor
+from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.evidence_view import FrameViews, Thinned
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
@@ -25,14 +25,16 @@ __all__ = ["Scene", "SceneObject", "default_voxel_size"]
 
 MIN_PIXELS = 30
 MAX_DEPTH_M = 1e4
-PIXELS_PER_CELL = 3.5
+PIXELS_PER_CELL = 4.0
 MIN_PIXELS_PER_CELL = 1.3
+BACKDROP_CELLS = 1.2
+"""A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 STATUS_ORDER = ("known", "tracked", "weak", "lost")
 
 
 def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], info: SequenceInfo) -> float:
-    """Choose a cell that covers about 3.5 pixels of a 640x480 picture at the depth that 3/4 of an object do not exceed.
+    """Choose a cell that covers about 4 pixels of a 640x480 picture at the depth that 3/4 of an object do not exceed.
 
     Small pictures get finer cells against their pixels; the size is rounded to a millimetre.
     """
@@ -174,6 +176,16 @@ class Scene:
         """
         return item.number > 0 or (at.status == "known" and not self.info.has_camera_poses)
 
+    def may_move(self, number: int) -> bool:
+        """Tell whether the poses of an object are worth refining in some frame."""
+        item = self.objects[number]
+        return any(at is not None and at.usable and not self.is_given(item, at) for at in item.found)
+
+    def at_rest(self, number: int) -> bool:
+        """Tell whether an object never moves before the camera, and is not going to be moved."""
+        poses = self.objects[number].poses
+        return not self.may_move(number) and all(np.array_equal(pose, poses[0]) for pose in poses)
+
     @property
     def _one_object(self) -> bool:
         return self.config.segmentation.mode is SegmentationMode.DEPTH
@@ -192,10 +204,14 @@ class Scene:
             return self.objects[number]
         if number and np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
             return None
-        size = self.config.voxel_size_m or default_voxel_size(frame.depth, mask, self.info)
-        tracker = None
-        if not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK:
-            tracker = Tracker(sensor, self.config.threads)
+        tracked = not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK
+        size = self.config.voxel_size_m
+        if size is None:
+            size = default_voxel_size(frame.depth, mask, self.info)
+            if number == 0 and not tracked and not self.info.has_camera_poses and not self.config.causal:
+                size *= BACKDROP_CELLS
+            size = max(round(size * self.config.cell_factor, 4), MIN_VOXEL_SIZE_M)
+        tracker = Tracker(sensor, self.config.threads) if tracked else None
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 

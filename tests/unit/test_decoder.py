@@ -395,7 +395,9 @@ def test_poses_of_a_batch_are_limited_before_memory_is_taken() -> None:
     packet = batch(0, MAX_COUNT, *members)
     tracemalloc.start()
     try:
-        with pytest.raises(LimitExceeded, match=f"a BATCH holds {3 * (MAX_COUNT // 2)} poses, at most {MAX_COUNT}"):
+        with pytest.raises(
+            LimitExceeded, match=f"a BATCH holds {3 * (MAX_COUNT // 2)} poses, shifts and gains, at most {MAX_COUNT}"
+        ):
             decoded(packet)
         assert tracemalloc.get_traced_memory()[1] < 10_000_000
     finally:

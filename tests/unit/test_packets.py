@@ -174,7 +174,7 @@ def test_understood_types() -> None:
 
 
 def test_names_and_flags() -> None:
-    assert [type_name(number) for number in (1, 13, 14, 0x80)] == ["STREAM", "END", "type 0x0e", "type 0x80"]
+    assert [type_name(number) for number in (1, 13, 99, 0x80)] == ["STREAM", "END", "type 0x63", "type 0x80"]
     assert Packet(type=2).flags == PacketFlag.CRITICAL
     assert Packet(type=2, critical=False).flags == 0
     assert ModelHeader(frame=1).packet(critical=False, random_access=True).flags == PacketFlag.RANDOM_ACCESS

@@ -188,8 +188,8 @@ def test_the_default_cell_follows_distance_and_picture() -> None:
     large = replace(INFO, rig=CameraRig.registered_to(CAMERA.resized(640, 480)))
     near, far = (np.full((480, 640), z, dtype=np.float32) for z in (1.0, 3.0))
     one, three = default_voxel_size(near, whole(near), large), default_voxel_size(far, whole(far), large)
-    # Three and a half pixels of a 640x480 picture; a pixel spans z / fx.
-    assert one == pytest.approx(3.5 * 1.0 / large.rig.depth.fx, abs=0.0006)
+    # Four pixels of a 640x480 picture; a pixel spans z / fx.
+    assert one == pytest.approx(4.0 * 1.0 / large.rig.depth.fx, abs=0.0006)
     assert three == pytest.approx(3 * one, abs=0.0016)
     assert one == round(one, 3)
 

@@ -107,6 +107,8 @@ def code_cell_colors(
     state: Octree,
     state_colors: NDArray[np.int16],
     settings: ColorSettings,
+    node_colors: NDArray[np.int16] | None = None,
+    coded_levels: int | None = None,
 ) -> NDArray[np.int16]:
     """Code the colours of cells that both sides know.
 
@@ -122,6 +124,9 @@ def code_cell_colors(
         Tree and (m, 3) int16 RGB of the state before, for prediction.
     settings
         Steps.
+    node_colors, coded_levels
+        (k, 3) int16 RGB of the k nodes of a level of `tree`, if both sides know them, and the number of levels below,
+        which alone are coded.
 
     Returns
     -------
@@ -140,13 +145,23 @@ def code_cell_colors(
         settings.steps(), PRICE, new_counters(channels * NUMBER_COUNTERS), new_counters(SIGN_COUNTERS)
     )
     own, beside = Neighborhood(True), Neighborhood(len(state.codes) > 0)
-    means = _code_root(coder, true.means[0], known.means[0], int(true.weights[0][0]), quantiser)
+    first = 0 if coded_levels is None else len(tree.levels) - coded_levels
+    means = np.empty((0, channels), dtype=np.int64)
+    if node_colors is None:
+        means = _code_root(coder, true.means[0], known.means[0], int(true.weights[0][0]), quantiser)
     parents, parent_energy = np.zeros(1, dtype=np.int32), np.zeros((1, channels), dtype=np.int32)
     for number, level in enumerate(tree.levels):
         count = int(BIT_COUNTS[level.masks].sum())
         near = own.near
         own.descend(level, level, count)
         beside.descend(level, state.levels[number], count)
+        if number < first:
+            continue
+        if node_colors is not None and number == first:
+            values = np.empty((len(node_colors), 3), dtype=np.int64)
+            to_luma_chroma(node_colors, values)
+            means = np.ascontiguousarray(values[:, :channels])
+            parents = np.zeros(len(means), dtype=np.int32)
         stage = ColorLevel(
             masks=level.masks,
             first=level.first,

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from threedvc.kernels import kernel
 
 __all__ = ["interpolate_between"]
@@ -29,7 +27,7 @@ def is_smooth(depth, labels, a, b, c, d):
 
 
 @kernel
-def interpolate_between(start, stop, width, height, depth, color, labels, wanted):
+def interpolate_between(start, stop, width, height, depth, labels, wanted):
     """Interpolate the rays between those at even rows and columns, and say which have to be cast.
 
     Squares ``start..stop`` in rows of squares: the corners are cast already. On a plane the inverse depth
@@ -37,8 +35,8 @@ def interpolate_between(start, stop, width, height, depth, color, labels, wanted
 
     Parameters
     ----------
-    depth, color, labels
-        (width * height,) float32, (width * height, 3) float32, (width * height,) uint8, updated.
+    depth, labels
+        (width * height,) float32 and uint8, updated.
     wanted
         (width * height,) uint8: set where a ray has to be cast, cleared elsewhere.
     """
@@ -66,7 +64,3 @@ def interpolate_between(start, stop, width, height, depth, color, labels, wanted
             depth[a + width + 1] = 4.0 / (wa + wb + wc + wd)
             for place in (a + 1, a + width, a + width + 1):
                 labels[place] = labels[a]
-            for k in range(3):
-                color[a + 1, k] = np.float32(0.5) * (color[a, k] + color[b, k])
-                color[a + width, k] = np.float32(0.5) * (color[a, k] + color[c, k])
-                color[a + width + 1, k] = np.float32(0.25) * (color[a, k] + color[b, k] + color[c, k] + color[d, k])

@@ -103,22 +103,6 @@ def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity):
 
 
 @kernel
-def color_at(corners, color, base, x, y, z, out):
-    """Write the weighted mean colour of the occupied cells around (x, y, z) into `out` (3,)."""
-    total, r, g, b = 0.0, 0.0, 0.0, 0.0
-    for k in range(8):
-        if (corners >> k) & 1:
-            ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
-            cell = base + ix + 9 * iy + 81 * iz
-            w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z) + 1e-9
-            total += w
-            r += w * color[cell, 0]
-            g += w * color[cell, 1]
-            b += w * color[cell, 2]
-    out[0], out[1], out[2] = r / total, g / total, b / total
-
-
-@kernel
 def next_crossing(o, d, i):
     """Return the ray parameter at which coordinate ``o + t d`` leaves the unit interval at `i`."""
     if d > 0.0:
@@ -234,8 +218,8 @@ def cast_in_block(
 
 @kernel
 def cast_rays(
-    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, coords, tables, skip,
-    corners, plane, colors, label, with_color, opacity, depth, color, labels,
+    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, tables, skip,
+    corners, plane, label, opacity, depth, labels,
 ):  # fmt: skip
     """Cast rays ``order[start:stop]`` into one object and keep what is nearer than `depth` already holds.
 
@@ -245,10 +229,10 @@ def cast_rays(
         (n, 2) float64 slopes.
     T_cells_camera
         (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in metres.
-    coords, tables, skip, corners, plane, colors
+    tables, skip, corners, plane
         Render blocks and their index.
-    depth, color, labels
-        (n,) float32 metres, 0 = nothing; (n, 3) float32; (n,) uint8; updated.
+    depth, labels
+        (n,) float32 metres, 0 = nothing; (n,) uint8; updated.
     """
     root_origin, root, supers = tables
     T = T_cells_camera
@@ -294,12 +278,5 @@ def cast_rays(
                 if hit[0] < t_far:
                     depth[r] = hit[0]
                     labels[r] = label
-                    if with_color:
-                        number, base = np.int64(hit[1]), np.int64(hit[2])
-                        x = ox + hit[0] * dx - coords[number, 0] * 8 - base % 9
-                        y = oy + hit[0] * dy - coords[number, 1] * 8 - base // 9 % 9
-                        z = oz + hit[0] * dz - coords[number, 2] * 8 - base // 81
-                        cube = base % 9 + 8 * (base // 9 % 9) + 64 * (base // 81)
-                        color_at(corners[number, cube], colors[number], base, x, y, z, color[r])
                 break
             t = max(leave, at)

@@ -112,7 +112,7 @@ def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
 
 
 @kernel
-def build_block(targets, blocks, start, stop, tables, occupied, planes, color, skip, corners, cell_plane, cell_color):
+def build_block(targets, blocks, start, stop, tables, occupied, planes, skip, corners, cell_plane):
     """Fill render blocks ``start..stop`` of the list `blocks` (n, 3) at places `targets` (n,).
 
     Parameters
@@ -122,11 +122,11 @@ def build_block(targets, blocks, start, stop, tables, occupied, planes, color, s
         block is that has an occupied cell at a corner; 8 where there is none.
     corners
         (render blocks, 512) uint8: a bit for each occupied corner of a cube, that of x lowest.
-    cell_plane, cell_color
-        (render blocks, 729, 4) int8 and (render blocks, 729, 3) int16.
+    cell_plane
+        (render blocks, 729, 4) int8.
     """
     root_origin, root, supers = tables
-    flat, flat_plane, flat_color = occupied.reshape(-1), planes.reshape(-1, 4), color.reshape(-1, 3)
+    flat, flat_plane = occupied.reshape(-1), planes.reshape(-1, 4)
     state = np.empty(729, dtype=np.bool_)
     for n in range(start, stop):
         t = targets[n]
@@ -139,8 +139,6 @@ def build_block(targets, blocks, start, stop, tables, occupied, planes, color, s
             state[i] = here
             for k in range(4):
                 cell_plane[t, i, k] = flat_plane[cell, k] if here else 0
-            for k in range(3):
-                cell_color[t, i, k] = flat_color[cell, k] if here else 0
         for i in range(512):
             base = (i & 7) + 9 * ((i >> 3) & 7) + 81 * (i >> 6)
             bits = 0

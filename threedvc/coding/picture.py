@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT
+"""Still pictures as AVIF of one grey plane, whose decoding is exact everywhere.
+
+Luma stands above the two chroma planes of half its size, side by side; the colour transform is ours and in
+integers. What is the same in every AVIF file of this kind is left out.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.errors import CorruptStream, UnsupportedVersion
+
+__all__ = ["can_code_pictures", "decode_picture", "encode_picture"]
+
+WHOLE, STRIPPED = 0, 1
+ENCODER_SPEED = 3
+HEAD = bytes.fromhex(
+    "0000001c66747970617669660000000061766966"
+    "6d6966316d696166000000e96d657461000000000000002168646c72000000000000000070"
+    "696374000000000000000000000000000000000e7069746d0000000000010000001e696c6f6300000000440000010001000000010000010d"
+)
+ITEM = bytes.fromhex(
+    "0000002869696e660000000000010000001a696e6665020000000001000061763031436f6c6f72000000006869707270000000496970636f"
+    "0000001469737065 00000000"
+)
+CHANNELS = bytes.fromhex("0000000e706978690000000001080000000c61763143")
+TAIL = bytes.fromhex("00000013636f6c726e636c78000200020002800000001769706d61000000000000000100010401028304")
+COLOR_CONFIG_BYTES = 4
+
+
+def can_code_pictures() -> bool:
+    """Tell whether this build of OpenCV has AVIF."""
+    return bool(cv2.haveImageWriter(".avif"))
+
+
+def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool) -> bytes:
+    """Return the payload of a picture.
+
+    Parameters
+    ----------
+    picture
+        (h, w, 3) uint8 RGB.
+    quality
+        1 to 100, as AVIF encoders take it.
+    grey
+        Whether to code the luma alone.
+    """
+    planes = _planes(picture, grey)
+    done, data = cv2.imencode(
+        ".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, quality, cv2.IMWRITE_AVIF_SPEED, ENCODER_SPEED]
+    )
+    if not done:
+        raise RuntimeError("the AVIF encoder of OpenCV refused a picture")
+    return _stripped(bytes(data), planes.shape[1], planes.shape[0])
+
+
+def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArray[np.uint8]:
+    """Return the picture (height, width, 3) uint8 RGB of a payload.
+
+    Raises
+    ------
+    CorruptStream
+        If the payload is no such picture.
+    UnsupportedVersion
+        If this build of OpenCV cannot decode it.
+    """
+    rows = height if grey else height + -(-height // 2)
+    columns = width if grey else 2 * -(-width // 2)
+    data = _completed(payload, columns, rows)
+    if not can_code_pictures():
+        raise UnsupportedVersion(
+            "this build of OpenCV cannot read AVIF pictures; install opencv-python-headless 5 or newer"
+        )
+    planes = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if planes is None or planes.shape != (rows, columns) or planes.dtype != np.uint8:
+        raise CorruptStream(f"a picture of {width}x{height} pixels cannot be decoded; the stream is damaged")
+    return _picture(np.asarray(planes, dtype=np.uint8), width, height, grey)
+
+
+def _planes(picture: NDArray[np.uint8], grey: bool) -> NDArray[np.uint8]:
+    values = picture.astype(np.int32)
+    red, green, blue = values[..., 0], values[..., 1], values[..., 2]
+    luma = (red + 2 * green + blue + 2) >> 2
+    if grey:
+        return luma.astype(np.uint8)
+    height, width = luma.shape
+    even = ((0, height % 2), (0, width % 2))
+    chroma = []
+    for plane in (red - blue, (2 * green - red - blue) >> 1):
+        whole = np.pad((plane >> 1) + 128, even, mode="edge")
+        chroma.append((whole[::2, ::2] + whole[1::2, ::2] + whole[::2, 1::2] + whole[1::2, 1::2] + 2) >> 2)
+    luma = np.pad(luma, ((0, 0), (0, width % 2)), mode="edge")
+    return np.vstack([luma, np.hstack(chroma)]).astype(np.uint8)
+
+
+def _picture(planes: NDArray[np.uint8], width: int, height: int, grey: bool) -> NDArray[np.uint8]:
+    values = planes.astype(np.int32)
+    luma = values[:height, :width]
+    if grey:
+        return np.repeat(luma[..., None], 3, axis=2).astype(np.uint8)
+    half = values.shape[1] // 2
+    co, cg = (_doubled(values[height:, k * half : (k + 1) * half] - 128)[:height, :width] for k in (0, 1))
+    # Co is half of R - B, Cg a quarter of 2 G - R - B; Y - Cg is (R + B) / 2.
+    rest = luma - cg
+    return np.clip(np.stack([rest + co, luma + cg, rest - co], axis=-1), 0, 255).astype(np.uint8)
+
+
+def _doubled(plane: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return a plane of twice the size, interpolated with weights 3/4 and 1/4."""
+    for axis in (0, 1):
+        before = np.concatenate([plane.take([0], axis), plane.take(range(plane.shape[axis] - 1), axis)], axis)
+        after = np.concatenate([plane.take(range(1, plane.shape[axis]), axis), plane.take([-1], axis)], axis)
+        pairs = np.stack([(3 * plane + before + 2) >> 2, (3 * plane + after + 2) >> 2], axis + 1)
+        shape = list(plane.shape)
+        shape[axis] *= 2
+        plane = pairs.reshape(shape)
+    return plane
+
+
+def _stripped(data: bytes, width: int, height: int) -> bytes:
+    """Leave out what `_completed` can put back; a file of another make is kept whole."""
+    start = len(HEAD) + 4 + len(ITEM) + 8 + len(CHANNELS)
+    config = data[start : start + COLOR_CONFIG_BYTES]
+    payload = bytes([STRIPPED]) + config + data[start + COLOR_CONFIG_BYTES + len(TAIL) + 8 :]
+    return payload if _completed(payload, width, height) == data else bytes([WHOLE]) + data
+
+
+def _completed(payload: bytes, width: int, height: int) -> bytes:
+    if not payload or payload[0] not in (WHOLE, STRIPPED):
+        raise CorruptStream("a picture is of an unknown make; the stream is damaged")
+    if payload[0] == WHOLE:
+        return payload[1:]
+    config, image = payload[1 : 1 + COLOR_CONFIG_BYTES], payload[1 + COLOR_CONFIG_BYTES :]
+    return b"".join(
+        [
+            HEAD,
+            struct.pack(">I", len(image)),
+            ITEM,
+            struct.pack(">II", width, height),
+            CHANNELS,
+            config,
+            TAIL,
+            struct.pack(">I4s", len(image) + 8, b"mdat"),
+            image,
+        ]
+    )

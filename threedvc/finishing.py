@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: MIT
+"""Fit a finished scene to the pictures that the decoder will draw of it: colours, gains, light, poses.
+
+`align` moves cameras and objects to where the drawn pictures fit the frames best; the frames are then fused anew
+at these poses, and `finish` fits what else the stream carries. `threedvc.appearance` has the mathematics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.appearance import (
+    LUMA,
+    ColorField,
+    FrameSamples,
+    Sampler,
+    aligned_pose,
+    aligned_shift,
+    fit_colors,
+    fit_gain,
+    fit_light,
+    joined,
+)
+from threedvc.backdrop import PictureChoice, background_picture
+from threedvc.coding.gains import NEUTRAL, apply_gain
+from threedvc.frame import Frame, FrameSequence
+from threedvc.motion import Located
+from threedvc.pose import Pose, identity, inverse
+from threedvc.readout import read_surface
+from threedvc.scene import Scene, SceneObject
+
+__all__ = ["Finish", "Script", "align", "finish"]
+
+Script = dict[int, list[Located | None]]
+
+SAMPLES = 2_000_000
+MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
+COLOR_FITS = 3
+LIGHT_FITS = 8
+TURNS_RAD = 0.2
+WORTHWHILE_GAIN = 0.01
+WORTHWHILE_SHIFT = 0.04
+"""Share of the squared error that shifts must save: about 0.2 dB for some four bytes a frame."""
+BACKDROP_FRAMES = 80
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Finish:
+    """What the fit to the drawn pictures found.
+
+    Attributes
+    ----------
+    colors
+        Colours of the finished surfaces, and the light on objects.
+    gains
+        (frames, 3, 2) units of the colour camera's gains, see `threedvc.coding.gains`.
+    shifts
+        T_shifted_camera of every frame: how the camera moved between depth and colour picture.
+    backdrop
+        The picture of a background at rest before a camera at rest, or None.
+    pixels_per_cell
+        How many pixels of a frame show a coloured cell, on an average over all frames; without those of a
+        background that has a backdrop, unless there is nothing else.
+    """
+
+    colors: ColorField
+    gains: NDArray[np.int64]
+    shifts: list[Pose]
+    backdrop: PictureChoice | None
+    pixels_per_cell: float
+
+
+def align(scene: Scene, frames: FrameSequence, rounds: int) -> tuple[Script, list[Pose]]:
+    """Return where every object is in every frame, and the shifts of the colour pictures.
+
+    Poses are aligned `rounds` times, each time against colours fitted at the poses before. There are no shifts
+    (all are the identity) unless they explain the pictures markedly better.
+    """
+    fit = _Fit(scene, frames, [identity()] * len(frames))
+    fit.take_samples()
+    fit.fit_colors()
+    for turn in range(rounds):
+        if turn == rounds - 1 and not fit.shifts_pay():
+            fit.shifts = [identity()] * len(frames)
+            fit.may_shift = False
+        fit.take_samples(aligned=True)
+        fit.fit_colors()
+    return fit.script, fit.shifts
+
+
+def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = None) -> Finish:
+    """Fit colours, light and gains at the scene's poses and at shifts that `align` has found."""
+    fit = _Fit(scene, frames, list(shifts) if shifts is not None else [identity()] * len(frames))
+    fit.take_samples()
+    fit.fit_colors()
+    gains = fit.steady_gains()
+    backdrop = fit.backdrop(gains)
+    return Finish(
+        colors=fit.colors,
+        gains=gains,
+        shifts=fit.shifts,
+        backdrop=backdrop,
+        pixels_per_cell=fit.pixels_per_cell(backdrop is not None),
+    )
+
+
+class _Fit:
+    """The state of a fit: colours, poses and gains, and samples of the frames at these poses."""
+
+    def __init__(self, scene: Scene, frames: FrameSequence, shifts: list[Pose]) -> None:
+        self._scene, self._frames = scene, frames
+        self._threads, self._grey = scene.config.threads, scene.info.grey
+        self._surfaces = {number: read_surface(item.evidence, self._threads) for number, item in scene.objects.items()}
+        sizes = {number: item.evidence.voxel_size_m for number, item in scene.objects.items()}
+        scales = dict.fromkeys(scene.objects, scene.config.appearance.texture_scale)
+        self.colors = ColorField(self._surfaces, sizes, scales, self._threads)
+        self.script: Script = {number: list(item.found) for number, item in scene.objects.items()}
+        self.shifts = shifts
+        self.may_shift = True
+        pixels = int(np.clip(SAMPLES // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
+        self._every = -(-len(frames) * pixels // SAMPLES)
+        self._sampler = Sampler(scene.info.rig, pixels, self._threads)
+        self._gains = np.repeat(NEUTRAL[None], len(frames), axis=0)
+        self._lit = [number for number, item in scene.objects.items() if _turns(scene, item)]
+        self._kept: list[tuple[int, FrameSamples]] = []
+
+    def take_samples(self, *, aligned: bool = False) -> None:
+        """Sample all frames, if wanted after aligning what may move in them with the colours so far."""
+        self._kept = []
+        for frame in self._seen_frames():
+            sample = self._aligned(frame) if aligned else self._sample(frame)
+            self._gains[frame.index] = fit_gain(sample, sample.shown(self.colors), self._grey)
+            if frame.index % self._every == 0:
+                self._kept.append((frame.index, replace(sample, points=sample.points[:0])))
+
+    def fit_colors(self) -> None:
+        """Fit colours, light and gains to the samples, in turn."""
+        fits = LIGHT_FITS if self._lit else COLOR_FITS
+        for fit in range(fits if self._kept else 0):
+            fit_colors(self.colors, joined(self.colors, self._samples()), self._threads)
+            for number in self._lit:
+                fit_light(self.colors, number, self._samples())
+            if fit < fits - 1:
+                for index, sample in self._kept:
+                    self._gains[index] = fit_gain(sample, sample.shown(self.colors), self._grey)
+
+    def shifts_pay(self) -> bool:
+        """Tell whether the frames are drawn so much better with the shifts that these are worth sending."""
+        if all(np.array_equal(shift, identity()) for shift in self.shifts):
+            return True
+        saved = []
+        for index, sample in self._kept:
+            frame = self._scene.limited(self._frames[index])
+            plain = self._sampler.sample(frame, self.colors, self._poses(index), identity())
+            errors = [_error(each, each.shown(self.colors), self._gains[index]) for each in (sample, plain)]
+            saved.append(np.log(errors[0] + 1) - np.log(errors[1] + 1))
+        return bool(saved) and float(np.mean(saved)) < np.log(1 - WORTHWHILE_SHIFT)
+
+    def steady_gains(self) -> NDArray[np.int64]:
+        """Return the gains of all frames; one that is hardly better than the one before is not worth its bits."""
+        gains = np.repeat(NEUTRAL[None], len(self._frames), axis=0)
+        last = NEUTRAL
+        for frame in self._seen_frames():
+            sample = self._sample(frame)
+            shown = sample.shown(self.colors)
+            found = fit_gain(sample, shown, self._grey)
+            errors = [_error(sample, shown, units) for units in (last, found)]
+            if errors[1] < (1 - WORTHWHILE_GAIN) * errors[0]:
+                last = found
+            gains[frame.index :] = last
+        return gains
+
+    def backdrop(self, gains: NDArray[np.int64]) -> PictureChoice | None:
+        """Return the picture of the background if it and the camera are at rest."""
+        scene = self._scene
+        if not scene.at_rest(0):
+            return None
+        chosen = range(0, len(self._frames), -(-len(self._frames) // BACKDROP_FRAMES))
+        seen = ((scene.limited(self._frames[index]), self._poses(index), *apply_gain(gains[index])) for index in chosen)
+        return PictureChoice(background_picture(scene.info.rig, seen, self.colors, self._threads), self._grey)
+
+    def pixels_per_cell(self, without_background: bool) -> float:
+        """Return how many pixels of a frame show a cell, on an average over all frames."""
+        chosen = [number for number in self._surfaces if number or not without_background] or [0]
+        cells = sum(len(self._surfaces[number].cells) for number in chosen)
+        shown = sum(np.count_nonzero(np.isin(sample.labels, chosen)) for _, sample in self._kept)
+        return shown * self._sampler.pixels_per_sample / max(len(self._kept) * cells, 1)
+
+    def _samples(self) -> Iterator[tuple[FrameSamples, NDArray[np.int64]]]:
+        return ((sample, self._gains[index]) for index, sample in self._kept)
+
+    def _seen_frames(self) -> Iterator[Frame]:
+        """Yield the frames in which anything is drawn."""
+        return (frame for frame in map(self._scene.limited, self._frames) if self._poses(frame.index))
+
+    def _sample(self, frame: Frame) -> FrameSamples:
+        return self._sampler.sample(frame, self.colors, self._poses(frame.index), self.shifts[frame.index])
+
+    def _aligned(self, frame: Frame) -> FrameSamples:
+        """Align the objects that may move in a frame and its shift, then sample it."""
+        scene, index = self._scene, frame.index
+        sample = self._sample(frame)
+        luma = (sample.shown(self.colors) @ LUMA).astype(np.float64)
+        moved = False
+        for number, item in scene.objects.items():
+            at = self.script[number][index]
+            if at is None or not at.usable or scene.is_given(item, at):
+                continue
+            moved, here = True, sample.labels == number
+            points, shades = sample.points[here], luma[here]
+            pose = aligned_pose(
+                frame, scene.info.rig, at.T_camera_object, points, shades, T_shifted_camera=self.shifts[index],
+                sensor=scene.sensor,
+            )  # fmt: skip
+            self.script[number][index] = replace(at, T_camera_object=pose)
+            if number == 0 and self.may_shift:
+                self.shifts[index] = aligned_shift(frame, scene.info.rig, pose, points, shades, self.shifts[index])
+        return self._sample(frame) if moved else sample
+
+    def _poses(self, frame: int) -> dict[int, Pose]:
+        """Return where the decoder will draw every object that has appeared."""
+        poses = {}
+        for number, item in self._scene.objects.items():
+            at = self.script[number][frame]
+            if item.born is not None and item.born <= frame:
+                poses[number] = item.poses[frame] if at is None else at.T_camera_object
+        return poses
+
+
+def _turns(scene: Scene, item: SceneObject) -> bool:
+    """Tell whether an object turns in the world, so that the light on its surface changes."""
+    if not item.number:
+        return False
+    world = scene.objects[0].poses
+    turns = [inverse(world[k])[:3, :3] @ item.poses[k][:3, :3] for k, at in enumerate(item.found) if at is not None]
+    return any(np.trace(turns[0].T @ turn) < 1 + 2 * np.cos(TURNS_RAD) for turn in turns)
+
+
+def _error(sample: FrameSamples, shown: NDArray[np.float32], units: NDArray[np.int64]) -> float:
+    gain, offset = apply_gain(units)
+    return float(np.mean((np.clip(shown * gain + offset, 0, 255) - sample.observed) ** 2))

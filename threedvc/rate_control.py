@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""Choice of cells and quantisation steps for a quality or a bit rate.
+
+A file's rate is met in two steps: the size of the cells follows from what the first pass would take at a middling
+step, the quantisation step of colours, and with it the quality of a backdrop, from the size of the finished stream
+itself. A live encoder keeps a leaky bucket: what does not fit waits, poses first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from threedvc.packets import Packet
+from threedvc.wire import pack_map
+
+__all__ = ["MIDDLE_STEP", "LeakyBucket", "cell_factor", "closest_below", "stream_bytes"]
+
+MIDDLE_STEP = 10.0
+FRAME_BYTES = 9.0
+HEAD_BYTES = 700.0
+MAX_CELL_FACTOR = 4.0
+WORTHWHILE = 1.08
+PACKET_BYTES, FILE_HEAD_BYTES, ENTRY_BYTES = 28, 11, 6
+LEAST_STEP, GREATEST_STEP = 0.5, 160.0
+TRIALS = 9
+CLOSE = 0.985
+
+Result = TypeVar("Result")
+
+
+def stream_bytes(packets: Sequence[Packet]) -> int:
+    """Return about how many bytes packets take in a file, their INDEX included."""
+    bodies = sum(PACKET_BYTES + len(pack_map(packet.header)) + len(packet.payload) for packet in packets)
+    return FILE_HEAD_BYTES + bodies + PACKET_BYTES + ENTRY_BYTES * len(packets)
+
+
+def cell_factor(surface_bytes: int, frames: int, target_bytes: float) -> float:
+    """Return by how much wider cells must be for a stream to take a number of bytes.
+
+    Parameters
+    ----------
+    surface_bytes
+        What the surfaces take with the present cells at `MIDDLE_STEP`; they go with the inverse square of the edge.
+    frames
+        Number of frames; each takes poses.
+    target_bytes
+        Wanted size of the file. If it has not even room for the poses, cells become as wide as they may.
+    """
+    room = max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, 0.1 * target_bytes)
+    factor = float(np.clip(np.sqrt(surface_bytes / room), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
+    return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
+
+
+def closest_below(make: Callable[[float], tuple[int, Result]], target_bytes: float) -> Result:
+    """Return the largest result of at most `target_bytes`, or the smallest there is, by bisection of the step.
+
+    Parameters
+    ----------
+    make
+        Gives the size and the result for a quantisation step; sizes fall as steps rise.
+    target_bytes
+        Wanted size.
+    """
+    low, high = np.log2(LEAST_STEP), np.log2(GREATEST_STEP)
+    best: tuple[int, Result] | None = None
+    smallest: tuple[int, Result] | None = None
+    step = np.log2(MIDDLE_STEP)
+    for _ in range(TRIALS):
+        size, result = make(float(2**step))
+        if smallest is None or size < smallest[0]:
+            smallest = size, result
+        if size > target_bytes:
+            low = step
+        else:
+            high = step
+            if best is None or size > best[0]:
+                best = size, result
+            if size > CLOSE * target_bytes:
+                break
+        step = (low + high) / 2
+    chosen = best or smallest
+    assert chosen is not None
+    return chosen[1]
+
+
+class LeakyBucket:
+    """How many bytes a live stream may still take.
+
+    Parameters
+    ----------
+    bytes_per_second
+        The rate.
+    buffer_s
+        So many seconds' worth may be sent at once; the stream starts with a full buffer.
+    """
+
+    def __init__(self, bytes_per_second: float, buffer_s: float) -> None:
+        self._rate = bytes_per_second
+        self._size = bytes_per_second * buffer_s
+        self.room = self._size
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.room = min(self.room + self._rate * seconds, self._size)
+
+    def take(self, count: int) -> None:
+        """Note that bytes were sent."""
+        self.room -= count
