@@ -39,12 +39,13 @@ Script = dict[int, list[Located | None]]
 
 SAMPLES = 2_000_000
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
+SHIFT_ROUNDS = 2
 COLOR_FITS = 3
 LIGHT_FITS = 8
 TURNS_RAD = 0.2
 WORTHWHILE_GAIN = 0.01
-WORTHWHILE_SHIFT = 0.04
-"""Share of the squared error that shifts must save: about 0.2 dB for some four bytes a frame."""
+WORTHWHILE_SHIFT = 0.06
+"""Share of the squared error that shifts must save: about a quarter of a decibel for some four bytes a frame."""
 BACKDROP_FRAMES = 80
 
 
@@ -78,18 +79,24 @@ def align(scene: Scene, frames: FrameSequence, rounds: int) -> tuple[Script, lis
     """Return where every object is in every frame, and the shifts of the colour pictures.
 
     Poses are aligned `rounds` times, each time against colours fitted at the poses before. There are no shifts
-    (all are the identity) unless they explain the pictures markedly better.
+    (all are the identity) unless the pictures fit markedly better with them.
     """
     fit = _Fit(scene, frames, [identity()] * len(frames))
     fit.take_samples()
     fit.fit_colors()
-    for turn in range(rounds):
-        if turn == rounds - 1 and not fit.shifts_pay():
-            fit.shifts = [identity()] * len(frames)
-            fit.may_shift = False
+    for _ in range(rounds):
         fit.take_samples(aligned=True)
         fit.fit_colors()
-    return fit.script, fit.shifts
+    script, error = {number: list(found) for number, found in fit.script.items()}, fit.log_error()
+    if not scene.may_move(0):
+        return script, fit.shifts
+    fit.may_shift = True
+    for _ in range(SHIFT_ROUNDS):
+        fit.take_samples(aligned=True)
+        fit.fit_colors()
+    if fit.log_error() < error + np.log(1 - WORTHWHILE_SHIFT):
+        return fit.script, fit.shifts
+    return script, [identity()] * len(frames)
 
 
 def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = None) -> Finish:
@@ -120,7 +127,7 @@ class _Fit:
         self.colors = ColorField(self._surfaces, sizes, scales, self._threads)
         self.script: Script = {number: list(item.found) for number, item in scene.objects.items()}
         self.shifts = shifts
-        self.may_shift = True
+        self.may_shift = False
         pixels = int(np.clip(SAMPLES // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
         self._every = -(-len(frames) * pixels // SAMPLES)
         self._sampler = Sampler(scene.info.rig, pixels, self._threads)
@@ -148,17 +155,10 @@ class _Fit:
                 for index, sample in self._kept:
                     self._gains[index] = fit_gain(sample, sample.shown(self.colors), self._grey)
 
-    def shifts_pay(self) -> bool:
-        """Tell whether the frames are drawn so much better with the shifts that these are worth sending."""
-        if all(np.array_equal(shift, identity()) for shift in self.shifts):
-            return True
-        saved = []
-        for index, sample in self._kept:
-            frame = self._scene.limited(self._frames[index])
-            plain = self._sampler.sample(frame, self.colors, self._poses(index), identity())
-            errors = [_error(each, each.shown(self.colors), self._gains[index]) for each in (sample, plain)]
-            saved.append(np.log(errors[0] + 1) - np.log(errors[1] + 1))
-        return bool(saved) and float(np.mean(saved)) < np.log(1 - WORTHWHILE_SHIFT)
+    def log_error(self) -> float:
+        """Return the logarithm of the squared error of the samples, on an average over the frames."""
+        errors = [_error(sample, sample.shown(self.colors), gain) for sample, gain in self._samples()]
+        return float(np.mean(np.log(np.array(errors) + 1))) if errors else 0.0
 
     def steady_gains(self) -> NDArray[np.int64]:
         """Return the gains of all frames; one that is hardly better than the one before is not worth its bits."""

@@ -76,7 +76,7 @@ def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArr
         raise UnsupportedVersion(
             "this build of OpenCV cannot read AVIF pictures; install opencv-python-headless 5 or newer"
         )
-    planes = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    planes = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if planes is None or planes.shape != (rows, columns) or planes.dtype != np.uint8:
         raise CorruptStream(f"a picture of {width}x{height} pixels cannot be decoded; the stream is damaged")
     return _picture(np.asarray(planes, dtype=np.uint8), width, height, grey)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Backdrops: AVIF pictures of one grey plane."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from threedvc.coding import picture as picture_coding
+from threedvc.coding.picture import can_code_pictures, decode_picture, encode_picture
+from threedvc.errors import CorruptStream, UnsupportedVersion
+
+pytestmark = pytest.mark.skipif(not can_code_pictures(), reason="this build of OpenCV has no AVIF")
+
+
+def scene(width: int, height: int) -> NDArray[np.uint8]:
+    y, x = np.mgrid[:height, :width]
+    channels = [120 + 80 * np.sin(x / 9), 110 + 60 * np.cos(y / 7), 90 + 50 * np.sin((x + y) / 11)]
+    return np.stack(channels, axis=-1).astype(np.uint8)
+
+
+@pytest.mark.parametrize("size", [(64, 48), (63, 48), (64, 47), (33, 31), (1, 1), (2, 5)])
+@pytest.mark.parametrize("grey", [False, True])
+def test_any_size_comes_back(size: tuple[int, int], grey: bool) -> None:
+    wanted = scene(*size)
+    if grey:
+        wanted = np.repeat(wanted[..., :1], 3, axis=2)
+    payload = encode_picture(wanted, 90, grey)
+    got = decode_picture(payload, *size, grey)
+    assert got.shape == wanted.shape
+    assert got.dtype == np.uint8
+    assert np.abs(got.astype(int) - wanted).mean() < 6
+
+
+def test_better_quality_is_nearer_and_larger() -> None:
+    wanted = scene(160, 120)
+    payloads = [encode_picture(wanted, quality, False) for quality in (10, 40, 80)]
+    errors = [np.square(decode_picture(p, 160, 120, False).astype(float) - wanted).mean() for p in payloads]
+    assert sorted(map(len, payloads)) == list(map(len, payloads))
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_the_usual_frame_of_the_file_is_left_out() -> None:
+    wanted = scene(100, 80)
+    planes = picture_coding._planes(wanted, False)
+    whole = cv2.imencode(
+        ".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, 40, cv2.IMWRITE_AVIF_SPEED, picture_coding.ENCODER_SPEED]
+    )[1]
+    payload = encode_picture(wanted, 40, False)
+    assert payload[0] == picture_coding.STRIPPED
+    assert len(payload) < len(whole) - 260
+    other = bytes([picture_coding.WHOLE]) + bytes(whole)
+    np.testing.assert_array_equal(decode_picture(other, 100, 80, False), decode_picture(payload, 100, 80, False))
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"\x07abc", b"\x00", b"\x00no picture", b"\x01", b"\x01\x81\x00\x1c\x00rubbish"]
+)
+def test_rubbish_is_refused(payload: bytes) -> None:
+    with pytest.raises(CorruptStream):
+        decode_picture(payload, 32, 32, False)
+
+
+def test_another_size_is_refused() -> None:
+    whole = b"\x00" + cv2.imencode(".avif", np.zeros((24, 20), np.uint8))[1].tobytes()
+    with pytest.raises(CorruptStream, match="16x16"):
+        decode_picture(whole, 16, 16, True)
+
+
+def test_a_build_without_avif_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    payload = encode_picture(scene(16, 16), 40, False)
+    monkeypatch.setattr(picture_coding, "can_code_pictures", lambda: False)
+    with pytest.raises(UnsupportedVersion, match="opencv-python-headless"):
+        decode_picture(payload, 16, 16, False)

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT
+"""What is fitted to the drawn pictures (colours, gains, light, poses, shifts, backdrop), and rates of whole streams."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
+from itertools import accumulate
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from streams import ListSequence
+from threedvc.appearance import LUMA, Sampler, aligned_shift
+from threedvc.coding.gains import apply_gain
+from threedvc.coding.picture import can_code_pictures
+from threedvc.config import (
+    AppearanceConfig,
+    EncoderConfig,
+    Motion,
+    Preset,
+    RenderConfig,
+    SegmentationConfig,
+    SegmentationMode,
+    Sensor,
+    with_preset,
+    with_quality,
+)
+from threedvc.decoder import Decoder, rig_of
+from threedvc.encoder import Encoder
+from threedvc.finishing import finish
+from threedvc.packets import Packet, PacketType, unpack_batch
+from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.rate_control import stream_bytes
+from threedvc.rendering import Renderer, RenderModel
+from threedvc.synthesis import SyntheticSequence, make_scene
+
+THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
+WHOLE = SegmentationConfig(mode=SegmentationMode.NONE)
+SIZES = {"paper": (80, 80), "room": (128, 96), "objects": (128, 96)}
+FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=WHOLE, group_frames=4)
+needs_avif = pytest.mark.skipif(not can_code_pictures(), reason="this build of OpenCV has no AVIF")
+
+
+@cache
+def scene(name: str, frames: int = 8) -> ListSequence:
+    source = SyntheticSequence(make_scene(name, frames=60, size=SIZES[name]))
+    kept = [replace(source[index], index=index) for index in range(frames)]
+    return ListSequence(kept, replace(source.info, frame_count=frames))
+
+
+def members(packets: Iterable[Packet], kind: PacketType) -> list[Packet]:
+    batches = [packet for packet in packets if packet.type == PacketType.BATCH]
+    return [member for batch in batches for member in unpack_batch(batch) if member.type == kind]
+
+
+def drawn(packets: list[Packet]) -> list[NDArray[np.uint8]]:
+    """Decode and draw colour pictures as `threedvc.decode` does."""
+    decoder, shown = Decoder(), dict[int, RenderModel]()
+    pictures = []
+    renderer: Renderer | None = None
+    for state in decoder.frames(packets):
+        assert decoder.header is not None
+        renderer = renderer or Renderer(rig_of(decoder.header), RenderConfig(threads=2))
+        for number in state.T_camera_object:
+            shown.setdefault(number, RenderModel(decoder.models[number])).refresh(2)
+        picture = renderer.draw(
+            shown, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
+            backdrop=state.backdrop, lights=state.lights,
+        )  # fmt: skip
+        pictures.append(picture.color)
+    assert decoder.complete
+    return pictures
+
+
+def psnr(pictures: list[NDArray[np.uint8]], sequence: ListSequence) -> float:
+    errors = [
+        np.square(got.astype(float) - frame.color).mean() for got, frame in zip(pictures, sequence.frames, strict=True)
+    ]
+    return float(np.mean(10 * np.log10(255**2 / np.array(errors))))
+
+
+def encoded(sequence: ListSequence, config: EncoderConfig) -> list[Packet]:
+    return list(Encoder(sequence.info, config).packets(sequence))
+
+
+def test_fitted_colours_are_nearer_than_means() -> None:
+    sequence = scene("room")
+    fitted = encoded(sequence, with_preset(FILE, Preset.FAST))
+    # Frames that can be read once only cannot be fitted to.
+    means = list(Encoder(sequence.info, with_preset(FILE, Preset.FAST)).packets(iter(sequence.frames)))
+    assert psnr(drawn(fitted), sequence) > psnr(drawn(means), sequence) + 0.3
+
+
+def test_exposure_is_sent_as_gains() -> None:
+    still = scene("room")
+    factors = [1.0, 0.8, 1.15, 0.9, 1.1, 0.85, 1.0, 0.75]
+    frames = [
+        replace(frame, color=np.clip(frame.color * factor + 6, 0, 255).astype(np.uint8))
+        for frame, factor in zip(still.frames, factors, strict=True)
+    ]
+    sequence = ListSequence(frames, still.info)
+    packets = encoded(sequence, with_preset(FILE, Preset.FAST))
+    assert members(packets, PacketType.GAIN)
+    same = encoded(still, with_preset(FILE, Preset.FAST))
+    assert psnr(drawn(packets), sequence) > psnr(drawn(same), still) - 1.5
+    assert sum(len(packet.payload) for packet in members(same, PacketType.GAIN)) < 10, "a steady exposure needs one"
+
+
+@needs_avif
+def test_a_background_at_rest_is_a_picture() -> None:
+    sequence = scene("paper")
+    packets = encoded(sequence, replace(FILE, segmentation=THRESHOLD))
+    assert len(members(packets, PacketType.BACKDROP)) == 1
+    pictures = drawn(packets)
+    background = np.all([frame.mask == 0 for frame in sequence.frames if frame.mask is not None], axis=0)
+    for got, frame in zip(pictures, sequence.frames, strict=True):
+        error = np.square(got.astype(float) - frame.color).mean(axis=2)[background].mean()
+        assert 10 * np.log10(255**2 / error) > 28
+
+
+def test_a_moving_camera_has_no_backdrop() -> None:
+    assert not members(encoded(scene("room"), with_preset(FILE, Preset.FAST)), PacketType.BACKDROP)
+
+
+def test_objects_that_turn_have_a_light() -> None:
+    packets = encoded(scene("objects", 30), replace(FILE, segmentation=SegmentationConfig(mode=SegmentationMode.MASKS)))
+    lights = members(packets, PacketType.LIGHT)
+    assert lights
+    assert all(len(packet.payload) == 8 and packet.header["o"] > 0 for packet in lights)
+
+
+def wrong_poses(sequence: ListSequence) -> ListSequence:
+    rng = np.random.default_rng(4)
+    frames = []
+    for frame in sequence.frames:
+        assert frame.T_world_camera is not None
+        away = make_pose(rotation_from_vector(rng.normal(0, 0.004, 3)), rng.normal(0, 0.008, 3))
+        frames.append(replace(frame, T_world_camera=compose(frame.T_world_camera, away)))
+    return ListSequence(frames, sequence.info)
+
+
+def relative(poses: list[Pose]) -> list[Pose]:
+    return [compose(inverse(poses[0]), pose) for pose in poses]
+
+
+def scatter(found: list[Pose], sequence: ListSequence) -> tuple[float, float]:
+    true = [frame.T_world_camera for frame in sequence.frames if frame.T_world_camera is not None]
+    off = [compose(inverse(a), b) for a, b in zip(relative(true), relative(found), strict=True)]
+    return (
+        float(np.mean([np.linalg.norm(T[:3, 3]) for T in off])),
+        float(np.mean([rotation_angle(T[:3, :3]) for T in off])),
+    )
+
+
+def test_wrong_camera_poses_are_put_right() -> None:
+    true = scene("room", 16)
+    given = wrong_poses(true)
+    packets = encoded(given, replace(FILE, appearance=AppearanceConfig(rounds=3)))
+    found = [state.T_world_camera for state in Decoder().frames(packets)]
+    before = scatter([frame.T_world_camera for frame in given.frames if frame.T_world_camera is not None], true)
+    after = scatter(found, true)
+    assert after[0] < 0.6 * before[0]
+    assert after[1] < 0.6 * before[1]
+
+
+def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
+    sequence = scene("room", 13)
+    encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
+    list(encoder.packets(sequence))
+    fitted = finish(encoder.scene, sequence).colors
+    rig = sequence.info.rig
+    for index in (2, 5, 9):
+        frame, later = sequence.frames[index], sequence.frames[index + 2]
+        assert frame.T_world_camera is not None
+        assert later.T_world_camera is not None
+        pose, true = inverse(frame.T_world_camera), inverse(later.T_world_camera)
+        sample = Sampler(rig, 10_000, 2).sample(frame, fitted, {0: pose}, identity())
+        luma = (sample.shown(fitted) @ LUMA).astype(np.float64)
+        late = replace(frame, color=later.color)
+        shift = identity()
+        for _ in range(3):
+            shift = aligned_shift(late, rig, pose, sample.points, luma, shift)
+
+        def pixels(T: Pose, points: NDArray[np.float64] = sample.points) -> NDArray[np.float64]:
+            return rig.color.project(points @ T[:3, :3].T + T[:3, 3])
+
+        before, after = (
+            np.median(np.linalg.norm(pixels(T) - pixels(true), axis=1)) for T in (pose, compose(shift, pose))
+        )
+        assert after < 0.6 * before
+
+
+def test_a_steady_camera_has_no_shifts() -> None:
+    assert not members(encoded(scene("room", 10), FILE), PacketType.SHIFT)
+
+
+@pytest.mark.parametrize("rate", [30e3, 90e3])
+def test_a_file_meets_its_rate(rate: float) -> None:
+    sequence = scene("room", 30)
+    packets = encoded(sequence, replace(with_preset(FILE, Preset.FAST), bitrate_bps=rate))
+    wanted = rate / 8 * 30 / sequence.info.fps
+    assert 0.95 * wanted < stream_bytes(packets) <= 1.02 * wanted
+
+
+def test_quality_raises_bytes_and_psnr() -> None:
+    sequence = scene("room")
+    made = [encoded(sequence, with_quality(with_preset(FILE, Preset.FAST), quality)) for quality in (20, 50, 80)]
+    sizes, values = [stream_bytes(packets) for packets in made], [psnr(drawn(packets), sequence) for packets in made]
+    assert sizes == sorted(sizes)
+    assert values == sorted(values)
+
+
+def test_a_live_stream_never_exceeds_its_rate() -> None:
+    sequence = scene("room", 30)
+    rate = 16e3
+    config = replace(FILE, causal=True, group_frames=2, bitrate_bps=rate)
+    free = [stream_bytes([packet]) for packet in encoded(sequence, replace(config, bitrate_bps=None))]
+    batches = [packet for packet in encoded(sequence, config) if packet.type == PacketType.BATCH]
+    sent = list(accumulate(28 + len(packet.payload) for packet in batches))
+    for batch, total in zip(batches, sent, strict=True):
+        seconds = (batch.header["f"] + batch.header["n"]) / sequence.info.fps
+        assert total <= rate / 8 * (seconds + config.live_buffer_s)
+    assert sum(free) > sent[-1]

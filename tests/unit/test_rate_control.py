@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""Meeting a rate: bisection, cells, the leaky bucket, and what configurations allow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from threedvc.config import (
+    ColorConfig,
+    EncoderConfig,
+    Preset,
+    with_preset,
+    with_quality,
+    with_step,
+)
+from threedvc.errors import ConfigError
+from threedvc.packets import Packet, PacketType
+from threedvc.rate_control import GREATEST_STEP, LEAST_STEP, LeakyBucket, cell_factor, closest_below, stream_bytes
+
+
+def made(step: float) -> tuple[int, float]:
+    """A stream whose size falls with the step."""
+    return int(1000 + 90_000 / step), step
+
+
+@pytest.mark.parametrize("target", [1800, 5000, 20_000, 100_000])
+def test_bisection_comes_close_from_below(target: int) -> None:
+    size = made(closest_below(made, target))[0]
+    assert 0.95 * target < size <= target
+
+
+def test_bounds_of_the_step_are_kept() -> None:
+    assert closest_below(made, 10) == pytest.approx(GREATEST_STEP, rel=0.05)
+    assert closest_below(made, 10**9) == pytest.approx(LEAST_STEP, rel=0.05)
+
+
+def test_cells_follow_the_rate() -> None:
+    assert cell_factor(20_000, 0, 20_700) == 1.0
+    assert cell_factor(80_000, 0, 20_700) == pytest.approx(2.0, rel=0.01)
+    assert cell_factor(5_000, 0, 20_700) == pytest.approx(0.5, rel=0.01)
+    assert cell_factor(10**9, 300, 3_000) == 4.0
+    assert cell_factor(100, 0, 10**9) == 0.25
+
+
+def test_a_bucket_never_gives_more_than_its_rate_and_buffer() -> None:
+    bucket, sent, rng = LeakyBucket(1000.0, 2.0), 0, np.random.default_rng(5)
+    for second in range(1, 200):
+        bucket.wait(1.0)
+        take = int(min(bucket.room, rng.integers(0, 4000)))
+        bucket.take(take)
+        sent += take
+        assert sent <= 1000 * second + 2000
+    assert sent > 0.9 * 1000 * 200
+    bucket.wait(1e9)
+    assert bucket.room == 2000
+
+
+def test_stream_bytes_counts_headers() -> None:
+    packet = Packet(type=PacketType.BATCH, header={"f": 0, "n": 3}, payload=bytes(100))
+    assert 130 < stream_bytes([packet]) < 200
+    assert stream_bytes([packet, packet]) > 2 * 128
+
+
+def test_quality_is_monotone_and_fifty_is_the_default() -> None:
+    plain = EncoderConfig()
+    assert with_quality(plain, 50) == plain
+    configs = [with_quality(plain, quality) for quality in range(1, 101)]
+    steps, cells = [c.color.luma_step for c in configs], [c.cell_factor for c in configs]
+    assert steps == sorted(steps, reverse=True)
+    assert cells == sorted(cells, reverse=True)
+    assert steps[0] > 8 * steps[-1]
+    for quality in (0, 101, -3):
+        with pytest.raises(ConfigError, match=r"within 1\.\.100"):
+            with_quality(plain, quality)
+
+
+def test_presets() -> None:
+    plain = EncoderConfig()
+    assert with_preset(plain, Preset.LIVE).causal
+    assert with_preset(plain, Preset.MEDIUM) == plain
+    fast, slow = with_preset(plain, Preset.FAST), with_preset(plain, Preset.SLOW)
+    assert (fast.refine, fast.appearance.rounds, fast.causal) == (False, 0, False)
+    assert slow.appearance.rounds > plain.appearance.rounds
+
+
+def test_steps_stay_in_range() -> None:
+    assert with_step(1e9).luma_step == with_step(1e9).chroma_step == 255
+    assert with_step(ColorConfig().luma_step) == ColorConfig()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"bitrate_bps": 100.0}, "at least 0.5k"),
+        ({"bitrate_bps": 4000.0, "causal": True}, "at least 8k"),
+        ({"bitrate_bps": float("nan")}, "too low"),
+        ({"cell_factor": 100.0}, "cell factor"),
+        ({"live_buffer_s": 0.0}, "buffer"),
+    ],
+)
+def test_impossible_rates_are_refused(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        EncoderConfig(**changes)  # type: ignore[arg-type]
