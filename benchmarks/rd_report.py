@@ -26,11 +26,12 @@ a lost pixel is a miss.
 for as many pixels within 1 % of the true depth, depth alone; "both" is their sum, two videos against one file. They
 are read off the convex hull of AV1's points over all sizes, log rate interpolated by monotone cubics. ≤: the
 cheapest point of AV1 is better than asked; a dash: its dearest is not as good. "AV1/3dvc" above 1 means that 3dvc is
-smaller.
+smaller; for a sequence it is the geometric mean over those points of 3dvc that no smaller one equals in both
+measures.
 
 BD-rate is the mean difference of log rates over the qualities that both reach, in percent; negative means that 3dvc
-needs less. That of the pair runs over the PSNR of 3dvc's points and holds each against the AV1 pair of the same PSNR
-and the same share within 1 %."""
+needs less, a dash that they have no range in common. That of the pair runs over the PSNR of 3dvc's points and holds
+each against the AV1 pair of the same PSNR and the same share within 1 %."""
 SUMMARY = (
     "sequence", "frames", "BD-rate colour", "BD-rate depth", "BD-rate pair",
     "AV1/3dvc, equal PSNR", "AV1/3dvc, equal within 1 %", "AV1/3dvc, both",
@@ -72,6 +73,11 @@ class Result:
         """Curves of AV1 by measure of quality."""
         return {COLOR: curve(self.color, COLOR), DEPTH: curve(self.depth, DEPTH)}
 
+    @cached_property
+    def worthwhile(self) -> list[Point]:
+        """Points of 3dvc that no other one equals in colour and in depth with fewer bytes."""
+        return [point for point in self.ours if not any(_beats(other, point) for other in self.ours)]
+
     def equal(self, point: Point, measure: str) -> float | None:
         """Return the bytes AV1 needs to be as good as a point of 3dvc; None where it is never."""
         return self.curves[measure].rate(point.quality[measure])
@@ -94,12 +100,12 @@ class Result:
         return bd_rate(theirs, curve([point for point, _ in pairs], COLOR))
 
     def ratios(self) -> list[float | None]:
-        """Return AV1's bytes over ours at equal PSNR, at equal within 1 % and at both: means over the points."""
-        needs = [[self.equal(p, COLOR), self.equal(p, DEPTH), self.both(p)] for p in self.ours]
-        columns = zip(*needs, strict=True)
+        """Return AV1's bytes over ours at equal PSNR, at equal within 1 % and at both, as means over our points."""
+        needs = [[self.equal(p, COLOR), self.equal(p, DEPTH), self.both(p)] for p in self.worthwhile]
+        sizes = [p.size for p in self.worthwhile]
         return [
-            geometric_mean([need / p.size for need, p in zip(column, self.ours, strict=True) if need is not None])
-            for column in columns
+            _mean([None if need is None else need / size for need, size in zip(column, sizes, strict=True)])
+            for column in zip(*needs, strict=True)
         ]
 
     def line(self, points: Sequence[Point], measure: str) -> tuple[list[float], list[float]]:
@@ -109,6 +115,10 @@ class Result:
     def kbit_s(self, size: float) -> float:
         """Return a number of bytes as a rate."""
         return size * 8 / self.seconds / 1000
+
+
+def _beats(other: Point, point: Point) -> bool:
+    return other.size < point.size and all(other.quality[m] >= point.quality[m] for m in (COLOR, DEPTH))
 
 
 def curve(points: Iterable[Point], measure: str) -> Curve:

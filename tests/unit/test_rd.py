@@ -137,6 +137,13 @@ class TestResult:
         assert result([ours]).both(ours) is None
         assert result([ours]).ratios() == [pytest.approx(4), None, None]
 
+    def test_points_that_smaller_ones_equal_are_left_out_of_means(self) -> None:
+        good, beaten = point(50, psnr=24.99, within=0.7), point(500, psnr=24, within=0.7)
+        better_in_depth = point(500, psnr=24, within=0.71)
+        assert result([good, beaten]).worthwhile == [good]
+        assert result([good, beaten]).ratios() == pytest.approx([4, 4, 8])
+        assert result([good, better_in_depth]).worthwhile == [good, better_in_depth]
+
     def test_differences_of_rates(self) -> None:
         ours = [point(80, psnr=20, within=0.5), point(160, psnr=24.99, within=0.7), point(320, psnr=29.96, within=0.9)]
         assert result(ours).difference(COLOR) == pytest.approx(-20, abs=0.5)
