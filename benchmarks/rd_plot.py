@@ -46,7 +46,9 @@ def _their_curve(axes: Any, result: Result, measure: str) -> None:
 
 
 def _their_pairs(axes: Any, result: Result) -> None:
-    needs = [(size, point.quality[COLOR]) for point in result.ours if (size := result.both(point)) is not None]
+    needs = [
+        (size, point.quality[COLOR]) for point in result.ours if (size := result.equal(point, COLOR, DEPTH)) is not None
+    ]
     rates = [result.kbit_s(size) for size, _ in needs]
     axes.plot(rates, [quality for _, quality in needs], "s-", color=THEIR_COLOR, label="AV1, colour and depth")
 

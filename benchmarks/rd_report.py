@@ -15,6 +15,7 @@ from reporting import markdown_table
 __all__ = ["COLOR", "DEPTH", "Result", "report"]
 
 COLOR, DEPTH = "psnr_rgb", "depth_within_1pct"
+CHOICES = ((COLOR,), (DEPTH,), (COLOR, DEPTH))
 NOTE = """\
 3dvc is always counted with its whole file, which holds colour, depth and motion; AV1 with its coded pictures alone,
 no container. Colour is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit inverse depth in
@@ -26,8 +27,8 @@ a lost pixel is a miss.
 for as many pixels within 1 % of the true depth, depth alone; "both" is their sum, two videos against one file. They
 are read off the convex hull of AV1's points over all sizes, log rate interpolated by monotone cubics. ≤: the
 cheapest point of AV1 is better than asked; a dash: its dearest is not as good. "AV1/3dvc" above 1 means that 3dvc is
-smaller; for a sequence it is the geometric mean over those points of 3dvc that no smaller one equals in both
-measures.
+smaller; for a sequence it is the geometric mean over its points, without those that AV1 cannot equal or that are
+marked ≤, and without those that a smaller point of 3dvc equals in both measures.
 
 BD-rate is the mean difference of log rates over the qualities that both reach, in percent; negative means that 3dvc
 needs less, a dash that they have no range in common. That of the pair runs over the PSNR of 3dvc's points and holds
@@ -78,14 +79,15 @@ class Result:
         """Points of 3dvc that no other one equals in colour and in depth with fewer bytes."""
         return [point for point in self.ours if not any(_beats(other, point) for other in self.ours)]
 
-    def equal(self, point: Point, measure: str) -> float | None:
-        """Return the bytes AV1 needs to be as good as a point of 3dvc; None where it is never."""
-        return self.curves[measure].rate(point.quality[measure])
+    def equal(self, point: Point, *measures: str) -> float | None:
+        """Return the bytes AV1 needs to be as good as a point of 3dvc, for all measures together; None if it is not."""
+        needs = [self.curves[measure].rate(point.quality[measure]) for measure in measures]
+        reached = [need for need in needs if need is not None]
+        return sum(reached) if len(reached) == len(needs) else None
 
-    def both(self, point: Point) -> float | None:
-        """Return the bytes of the AV1 pair that is as good as a point of 3dvc in colour and in depth."""
-        color, depth = self.equal(point, COLOR), self.equal(point, DEPTH)
-        return None if color is None or depth is None else color + depth
+    def at_most(self, point: Point, *measures: str) -> bool:
+        """Tell whether AV1's cheapest point is better than a point of 3dvc, so that `equal` is only a bound."""
+        return any(point.quality[measure] < self.curves[measure].lowest for measure in measures)
 
     def difference(self, measure: str) -> float | None:
         """Return the BD-rate of 3dvc against AV1 in percent, by one measure of quality."""
@@ -93,20 +95,19 @@ class Result:
 
     def pair_difference(self) -> float | None:
         """Return the BD-rate of 3dvc against the AV1 pairs that are as good as its points, in percent."""
-        pairs = [(point, size) for point in self.ours if (size := self.both(point)) is not None]
-        if not pairs:
+        ratios = [(point, ratio) for point in self.ours if (ratio := self._ratio(point, COLOR, DEPTH)) is not None]
+        if not ratios:
             return None
-        theirs = Curve.hull((size, point.quality[COLOR]) for point, size in pairs)
-        return bd_rate(theirs, curve([point for point, _ in pairs], COLOR))
+        theirs = Curve.hull((ratio * point.size, point.quality[COLOR]) for point, ratio in ratios)
+        return bd_rate(theirs, curve([point for point, _ in ratios], COLOR))
 
     def ratios(self) -> list[float | None]:
         """Return AV1's bytes over ours at equal PSNR, at equal within 1 % and at both, as means over our points."""
-        needs = [[self.equal(p, COLOR), self.equal(p, DEPTH), self.both(p)] for p in self.worthwhile]
-        sizes = [p.size for p in self.worthwhile]
-        return [
-            _mean([None if need is None else need / size for need, size in zip(column, sizes, strict=True)])
-            for column in zip(*needs, strict=True)
-        ]
+        return [_mean([self._ratio(point, *chosen) for point in self.worthwhile]) for chosen in CHOICES]
+
+    def _ratio(self, point: Point, *measures: str) -> float | None:
+        need = self.equal(point, *measures)
+        return None if need is None or self.at_most(point, *measures) else need / point.size
 
     def line(self, points: Sequence[Point], measure: str) -> tuple[list[float], list[float]]:
         """Return the rates of points in kbit/s, and their qualities by one measure."""
@@ -174,13 +175,12 @@ def _row(result: Result, point: Point, cells: dict[str, int]) -> list[str]:
 
 
 def _our_row(result: Result, point: Point) -> list[str]:
-    both = result.both(point)
-    slack = [point.quality[measure] < result.curves[measure].lowest for measure in (COLOR, DEPTH)]
+    both = result.equal(point, COLOR, DEPTH)
     return [
         *_row(result, point, COLOR_CELLS | DEPTH_CELLS),
         f"{point.quality['depth_lost']:.4f}",
-        *(_need(result.equal(point, m), s) for m, s in zip((COLOR, DEPTH), slack, strict=True)),
-        _need(both, any(slack)),
+        *(_need(result.equal(point, measure), result.at_most(point, measure)) for measure in (COLOR, DEPTH)),
+        _need(both, result.at_most(point, COLOR, DEPTH)),
         _ratio(None if both is None else both / point.size),
     ]
 

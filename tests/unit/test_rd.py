@@ -129,13 +129,20 @@ class TestResult:
         ours = point(50, psnr=24.99, within=0.7)
         assert result([ours]).equal(ours, COLOR) == pytest.approx(200)
         assert result([ours]).equal(ours, DEPTH) == pytest.approx(200)
-        assert result([ours]).both(ours) == pytest.approx(400)
+        assert result([ours]).equal(ours, COLOR, DEPTH) == pytest.approx(400)
         assert result([ours]).ratios() == pytest.approx([4, 4, 8])
 
     def test_quality_that_av1_does_not_reach(self) -> None:
         ours = point(50, psnr=24.99, within=0.95)
-        assert result([ours]).both(ours) is None
+        assert result([ours]).equal(ours, COLOR, DEPTH) is None
         assert result([ours]).ratios() == [pytest.approx(4), None, None]
+
+    def test_quality_below_all_of_av1_has_a_bound_and_does_not_count(self) -> None:
+        ours = point(50, psnr=15, within=0.7)
+        assert result([ours]).equal(ours, COLOR) == pytest.approx(100)
+        assert result([ours]).at_most(ours, COLOR)
+        assert result([ours]).ratios() == [None, pytest.approx(4), None]
+        assert result([ours]).pair_difference() is None
 
     def test_points_that_smaller_ones_equal_are_left_out_of_means(self) -> None:
         good, beaten = point(50, psnr=24.99, within=0.7), point(500, psnr=24, within=0.7)
