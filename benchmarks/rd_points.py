@@ -34,7 +34,7 @@ __all__ = ["Point", "Recording", "Score", "Store", "av1_points", "config_of", "l
 MILLIMETRES = 1000.0
 FINENESS = (-1.0, 1.0)
 AV1_CRF = (20, 30, 40, 50, 58, 64, 70)
-AV1_SCALES = (1, 2, 4)
+AV1_SCALES = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, kw_only=True)
