@@ -6,21 +6,27 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := build/demo
 READY := $(VENV)/.ready
+BENCH_READY := $(VENV)/.bench-ready
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
 UNCOMPILED := $(patsubst %, tests/unit/test_%.py, block_index container_checksum decoder emitter metrics object_model \
 	ray_update report segmentation synthesis_shapes uncertainty)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test lint typecheck contracts coverage golden fuzz bench paper docs build clean check
+.PHONY: help install demo test lint typecheck contracts coverage golden fuzz bench bench-rd paper docs build clean check
 
 help: ## Show the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "3dvc needs Python 3.11 or newer; run: make PYTHON=/path/to/python3.11 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,plot]'
+	$(INSTALL) '.[dev,plot]'
+	touch $@
+
+$(BENCH_READY): $(READY)
+	$(INSTALL) '.[bench]'
 	touch $@
 
 install: $(READY) ## Create .venv and install the checkout with its tools
@@ -62,9 +68,12 @@ golden: $(READY) ## Write the golden streams anew; every release must still deco
 fuzz: $(READY) ## Feed damaged streams to the reader for longer than the tests do
 	THREEDVC_EXAMPLES=5000 $(BIN)/python -m pytest --quiet tests/fuzz tests/property
 
-bench: $(READY) ## Measure speed, memory and quality, write SPEED.md and RESULTS.md in benchmarks
+bench: $(READY) ## Measure speed, memory and quality, write SPEED.md and SEQUENCES.md in benchmarks
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/sequences.py
+
+bench-rd: $(BENCH_READY) ## Compare with AV1 at equal quality, write RESULTS.md and plots in benchmarks
+	$(BIN)/python benchmarks/rd.py
 
 paper: $(READY) ## Repeat the experiment of the 1995 paper
 	$(BIN)/python benchmarks/paper_experiment.py build/paper

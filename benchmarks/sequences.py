@@ -187,7 +187,7 @@ def results(outcomes: Sequence[Outcome], failures: Sequence[str]) -> str:
     machine = f"{default_threads()} cores, {platform.machine()}, Python {platform.python_version()}"
     load = f"load {os.getloadavg()[0]:.1f} when it ended" if hasattr(os, "getloadavg") else "load not known"
     parts = [
-        "# Results",
+        "# Recorded sequences",
         f"Written by `make bench` at commit {commit()}, on {machine}, {load}.",
         table,
         NOTE,
@@ -212,7 +212,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Encode, decode and score recorded sequences.")
     parser.add_argument("folders", type=Path, nargs="*", help="sequences (default: those of the table in this file)")
     parser.add_argument("--frames", metavar="A:B", help="encode only these frames of each")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_name("RESULTS.md"), help="file to write")
+    parser.add_argument("--output", type=Path, default=Path(__file__).with_name("SEQUENCES.md"), help="file to write")
     options = parser.parse_args(arguments)
     folders = options.folders or recorded()
     if not folders:

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""Compare 3dvc with AV1 for colour and AV1 for depth: bytes at equal quality, and BD-rate.
+
+Encodes each sequence at several rates with both, scores all by `threedvc.metrics`, writes tables and plots::
+
+    python benchmarks/rd.py [FOLDER...] [--frames N] [--points N] [--out FILE.md]
+
+Without folders all sequences in ``$THREEDVC_DATA``, or in ``../shared/data``, are taken. Needs the extra ``[bench]``.
+Points that were measured are kept, so that a run that was broken off goes on; those of 3dvc are measured anew
+when its sources change.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from av1 import MissingCodec, library
+from rd_plot import plot
+from rd_points import Point, Recording, Store, av1_points, threedvc_points
+from rd_report import Result, report
+from reporting import REPOSITORY, commit
+from sequences import DATA
+from threedvc import ThreedvcError
+from threedvc.parallel import default_threads
+
+__all__ = ["main", "measured", "recorded"]
+
+STORE = REPOSITORY / "build" / "bench-rd"
+OUTPUT = Path(__file__).with_name("RESULTS.md")
+POINTS = 5
+MIN_POINTS = 2
+
+
+def recorded() -> list[Path]:
+    """Return the folders of all recorded sequences."""
+    return sorted(path.parent for path in DATA.glob("*/intrinsics.json"))
+
+
+def measured(recording: Recording, store: Store, points: int) -> Result:
+    """Measure all points of one sequence, or take those that were measured."""
+    name = recording.run.sequence
+    return Result(
+        sequence=name,
+        options=recording.run.options,
+        frames=len(recording.frames),
+        seconds=recording.seconds,
+        color=_told(f"{name}: AV1 colour", av1_points(recording, store, "color")),
+        depth=_told(f"{name}: AV1 depth", av1_points(recording, store, "depth")),
+        ours=_told(f"{name}: 3dvc", threedvc_points(recording, store, points)),
+    )
+
+
+def _told(what: str, points: Iterable[Point]) -> list[Point]:
+    """Return points, and say so as each is there."""
+    return list(_telling(what, points))
+
+
+def _telling(what: str, points: Iterable[Point]) -> Iterator[Point]:
+    for point in points:
+        print(f"{what}, {point.setting}: {point.size:,} bytes", file=sys.stderr, flush=True)
+        yield point
+
+
+def results(folders: Sequence[Path], limit: int | None, points: int, store: Store, failures: list[str]) -> list[Result]:
+    """Measure sequences, and note those that cannot be."""
+    found = []
+    for folder in folders:
+        try:
+            found.append(measured(Recording.of(folder, limit), store, points))
+        except ThreedvcError as error:
+            print(error, file=sys.stderr)
+            failures.append(f"{folder.name}: {error}")
+    return found
+
+
+def heading() -> str:
+    """Return which codecs were compared, and where."""
+    machine = f"{default_threads()} cores, {platform.machine()}, Python {platform.python_version()}"
+    return (
+        f"Written by `make bench-rd` at commit {commit()}, on {machine}. SVT-AV1 and dav1d are those of the wheel of "
+        f"PyAV {library().__version__}."
+    )
+
+
+def count(text: str) -> int:
+    """Return a whole number above zero.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if int(text) < 1:
+        raise ValueError(text)
+    return int(text)
+
+
+def parsed(arguments: list[str] | None) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description="Compare 3dvc with AV1 for colour and AV1 for depth.")
+    parser.add_argument("folders", type=Path, nargs="*", help=f"sequences (default: all in {DATA})")
+    parser.add_argument("--frames", type=count, metavar="N", help="measure the first N frames of each")
+    parser.add_argument("--points", type=count, metavar="N", default=POINTS,
+                        help="rates of 3dvc (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--out", type=Path, default=OUTPUT, help="file to write; plots go to a folder beside it")
+    parser.add_argument("--cache", type=Path, default=STORE, help="folder of points that were measured")
+    parser.add_argument("--reuse", action="store_true", help="take points of other versions of the codecs, too")
+    options = parser.parse_args(arguments)
+    if options.points < MIN_POINTS:
+        parser.error(f"--points {options.points}: a curve needs at least {MIN_POINTS}")
+    return options
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Parse the command line, measure, write tables and plots."""
+    options = parsed(arguments)
+    folders = options.folders or recorded()
+    if not folders:
+        print(f"no recorded sequences in {DATA}; set THREEDVC_DATA to their folder", file=sys.stderr)
+        return
+    try:
+        library()
+    except MissingCodec as error:
+        sys.exit(str(error))
+    failures: list[str] = []
+    found = results(folders, options.frames, options.points, Store(options.cache, options.reuse), failures)
+    plots = options.out.with_name("plots")
+    plots.mkdir(parents=True, exist_ok=True)
+    for result in found:
+        plot(result, plots / f"{result.sequence}.png")
+    options.out.write_text(report(found, heading(), Path(plots.name), failures), encoding="utf-8")
+    print(options.out)
+    if failures:
+        sys.exit(f"{len(failures)} of the sequences failed")
+
+
+if __name__ == "__main__":
+    main()

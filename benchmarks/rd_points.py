@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: MIT
+"""Points of rate-distortion curves: encode at some setting, decode, score; keep what was measured as JSON.
+
+Pictures of either codec go through one `Score`, which measures them by `threedvc.metrics`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import threedvc
+from av1 import VideoCodec, library
+from planes import InverseDepth, Plane
+from reporting import REPOSITORY
+from sequences import RUNS, Run
+from threedvc.cli.main import main as command
+from threedvc.config import ColorConfig, EncoderConfig, Motion, Sensor
+from threedvc.formats.sources import FolderSequence, open_sequence
+from threedvc.frame import SequenceInfo
+from threedvc.metrics import ColorQuality, DepthErrors, depth_units, mean_color_quality
+from threedvc.scene import default_voxel_size
+
+__all__ = ["Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
+
+MILLIMETRES = 1000.0
+FINENESS = (-1.0, 1.0)
+AV1_CRF = (20, 30, 40, 50, 58, 64, 70)
+AV1_SCALES = (1, 2, 4, 8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """One measured point of a curve.
+
+    Attributes
+    ----------
+    setting
+        The codec's setting in words.
+    size
+        Bytes.
+    quality
+        Measures under their names in the JSON report of ``3dvc stats``.
+    """
+
+    setting: str
+    size: int
+    quality: dict[str, float]
+
+
+@dataclass(kw_only=True)
+class Score:
+    """Measures of decoded pictures, as they accumulate.
+
+    Attributes
+    ----------
+    depth_scale
+        Units per metre of the depth pictures, in which depth is compared.
+    """
+
+    depth_scale: float
+    _color: list[ColorQuality] = field(default_factory=list)
+    _depth: list[DepthErrors] = field(default_factory=list)
+
+    def add_color(self, given: NDArray[np.uint8], seen: NDArray[np.uint8]) -> None:
+        """Compare two RGB pictures (h, w, 3)."""
+        self._color.append(ColorQuality.measure(given, seen))
+
+    def add_depth(self, given: Plane, seen: Plane) -> None:
+        """Compare two depth pictures (h, w) in metres, 0 = no depth."""
+        units = [depth_units(depth, self.depth_scale) for depth in (given, seen)]
+        errors = DepthErrors.measure(units[0], units[1], MILLIMETRES / self.depth_scale)
+        self._depth = [self._depth[0] + errors] if self._depth else [errors]
+
+    def quality(self) -> dict[str, float]:
+        """Return the measures of what was added."""
+        color = asdict(mean_color_quality(self._color)) if self._color else {}
+        return color | (self._depth[0].quality() if self._depth else {})
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A sequence, as far as it is measured, and how 3dvc encodes it.
+
+    Attributes
+    ----------
+    folder
+        Its folder.
+    run
+        Options of ``3dvc encode``, from the table of recorded sequences.
+    limit
+        Number of frames at most, or None.
+    """
+
+    folder: Path
+    run: Run
+    limit: int | None = None
+
+    @classmethod
+    def of(cls, folder: Path, limit: int | None = None) -> Recording:
+        """Take the first run that names the folder, or the encoder's own choices."""
+        name = folder.resolve().name
+        return cls(folder, next((run for run in RUNS if run.sequence == name), Run(sequence=name)), limit)
+
+    @cached_property
+    def frames(self) -> FolderSequence:
+        """The frames as recorded, against which everything is scored."""
+        return self._opened(None)
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What holds for every frame."""
+        return self.frames.info
+
+    @property
+    def seconds(self) -> float:
+        """Length of what is measured."""
+        return len(self.frames) / self.info.fps
+
+    @cached_property
+    def config(self) -> EncoderConfig:
+        """The encoder's choices; the cell is one for all objects."""
+        config = config_of(self.run.options)
+        return replace(config, voxel_size_m=config.voxel_size_m or self._voxel_size())
+
+    @cached_property
+    def depth_range(self) -> tuple[float, float]:
+        """Smallest and largest depth of all frames in metres."""
+        measured = [depth[depth > 0] for depth in self.depths()]
+        ends = [(float(depth.min()), float(depth.max())) for depth in measured if len(depth)]
+        return min((near for near, _ in ends), default=1.0), max((far for _, far in ends), default=1.0)
+
+    def colors(self) -> Iterator[NDArray[np.uint8]]:
+        """Yield the RGB pictures."""
+        return (frame.color for frame in self.frames)
+
+    def depths(self) -> Iterator[Plane]:
+        """Yield the depth pictures in metres."""
+        return (frame.depth for frame in self.frames)
+
+    def encode(self, stream: Path, config: EncoderConfig) -> int:
+        """Encode with 3dvc and return the bytes of the file."""
+        return threedvc.encode(self._opened(config.max_depth_m), stream, config).file_bytes
+
+    def _opened(self, max_depth_m: float | None) -> FolderSequence:
+        frames = open_sequence(self.folder, max_depth_m=max_depth_m)
+        if self.limit is None or self.limit >= len(frames):
+            return frames
+        return open_sequence(self.folder, max_depth_m=max_depth_m, frames=(0, self.limit, None))
+
+    def _voxel_size(self) -> float:
+        depth = self.frames[0].depth
+        return default_voxel_size(depth, depth > 0, self.info)
+
+
+def config_of(options: str) -> EncoderConfig:
+    """Return the encoder's choices that options of ``3dvc encode`` make."""
+    chosen = command.commands["encode"].make_context("encode", ["in", "out.3dvc", *shlex.split(options)]).params
+    return EncoderConfig(
+        voxel_size_m=chosen["voxel_size"],
+        max_depth_m=chosen["max_depth"],
+        motion=Motion(chosen["motion"]),
+        sensor=Sensor(chosen["sensor"]),
+        segmentation=chosen["segment"],
+    )
+
+
+def ladder(config: EncoderConfig, points: int) -> list[EncoderConfig]:
+    """Return choices from coarse to fine around given ones: cells and colour steps shrink together."""
+    assert config.voxel_size_m is not None
+    factors = 2.0 ** -np.linspace(*FINENESS, points)
+    return [
+        replace(
+            config,
+            voxel_size_m=float(np.round(factor * config.voxel_size_m, 4)),
+            color=ColorConfig(
+                luma_step=max(1.0, float(factor) * config.color.luma_step),
+                chroma_step=max(1.0, float(factor) * config.color.chroma_step),
+            ),
+        )
+        for factor in factors
+    ]
+
+
+@dataclass(frozen=True)
+class Store:
+    """Points that were measured before, one JSON file each.
+
+    Attributes
+    ----------
+    folder
+        Where they lie.
+    reuse
+        Take points of other versions of a codec, too.
+    """
+
+    folder: Path
+    reuse: bool = False
+
+    def place(self, recording: Recording, name: str) -> Path:
+        """Return the file of a point of a recording, by the name of codec and setting; its folder is made."""
+        place = self.folder / f"{recording.run.sequence}-{len(recording.frames)}" / f"{name}.json"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        return place
+
+    def point(self, place: Path, version: str, measure: Callable[[], Point]) -> Point:
+        """Return the point in a file; measure it where it is missing or of another version of the codec."""
+        if place.is_file():
+            kept = json.loads(place.read_text(encoding="utf-8"))
+            if self.reuse or kept["version"] == version:
+                return Point(**kept["point"])
+        point = measure()
+        written = place.with_suffix(".part")
+        written.write_text(json.dumps({"version": version, "point": asdict(point)}, indent=1), encoding="utf-8")
+        written.replace(place)
+        return point
+
+
+def source_digest() -> str:
+    """Return a digest of the codec's sources: the version of a point of 3dvc."""
+    digest = hashlib.sha256()
+    for path in sorted(path for folder in ("threedvc", "formats") for path in (REPOSITORY / folder).rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def threedvc_points(recording: Recording, store: Store, points: int) -> Iterator[Point]:
+    """Yield the points of 3dvc, coarse to fine."""
+    version = source_digest()
+    for config in ladder(recording.config, points):
+        assert config.voxel_size_m is not None
+        setting = f"{MILLIMETRES * config.voxel_size_m:g} mm, steps {config.color.luma_step:.3g}/"
+        setting += f"{config.color.chroma_step:.3g}"
+        place = store.place(recording, file_name(f"3dvc {recording.run.options} {setting}"))
+        measure = partial(_ours, recording, config, setting, place.with_suffix(".3dvc"))
+        yield store.point(place, version, measure)
+
+
+def file_name(words: str) -> str:
+    """Return words as the name of a file."""
+    return "".join(sign if sign.isalnum() or sign in ".-" else "_" for sign in words)
+
+
+def _ours(recording: Recording, config: EncoderConfig, setting: str, stream: Path) -> Point:
+    size = recording.encode(stream, config)
+    score = Score(depth_scale=recording.info.depth_scale)
+    for given, seen in zip(recording.frames, threedvc.decode(stream), strict=True):
+        score.add_color(given.color, seen.color)
+        score.add_depth(given.depth, seen.depth)
+    return Point(setting=setting, size=size, quality=score.quality())
+
+
+def av1_points(recording: Recording, store: Store, kind: str) -> Iterator[Point]:
+    """Yield the points of AV1 for one kind of pictures, ``color`` or ``depth``."""
+    versions = library().library_versions
+    version = f"PyAV {library().__version__}, libavcodec {versions['libavcodec']}"
+    measure = {"color": _av1_color, "depth": _av1_depth}[kind]
+    camera = getattr(recording.info.rig, kind)
+    for scale in AV1_SCALES:
+        for crf in AV1_CRF:
+            codec = VideoCodec(width=camera.width, height=camera.height, fps=recording.info.fps, crf=crf, scale=scale)
+            place = store.place(recording, f"av1-{kind}-preset{codec.preset}-scale{scale}-crf{crf}")
+            yield store.point(place, version, partial(measure, recording, codec))
+
+
+def _av1_setting(codec: VideoCodec) -> str:
+    return f"crf {codec.crf}" + (f", 1/{codec.scale} size" if codec.scale > 1 else "")
+
+
+def _av1_color(recording: Recording, codec: VideoCodec) -> Point:
+    grey = recording.info.grey
+    coded = codec.encode_color(recording.colors(), grey)
+    score = Score(depth_scale=recording.info.depth_scale)
+    for given, seen in zip(recording.colors(), codec.decode_color(coded, grey), strict=True):
+        score.add_color(given, seen)
+    return Point(setting=_av1_setting(codec), size=coded.size, quality=score.quality())
+
+
+def _av1_depth(recording: Recording, codec: VideoCodec) -> Point:
+    mapping = InverseDepth.covering(*recording.depth_range)
+    coded = codec.encode_depth(recording.depths(), mapping)
+    score = Score(depth_scale=recording.info.depth_scale)
+    for given, seen in zip(recording.depths(), codec.decode_depth(coded, mapping), strict=True):
+        score.add_depth(given, seen)
+    return Point(setting=_av1_setting(codec), size=coded.size, quality=score.quality())
