@@ -23,16 +23,15 @@ from planes import InverseDepth, Plane
 from reporting import REPOSITORY
 from sequences import RUNS, Run
 from threedvc.cli.main import main as command
-from threedvc.config import ColorConfig, EncoderConfig, Motion, Sensor
+from threedvc.config import EncoderConfig, Motion, Sensor, with_quality
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.frame import SequenceInfo
 from threedvc.metrics import ColorQuality, DepthErrors, depth_units, mean_color_quality
-from threedvc.scene import default_voxel_size
 
 __all__ = ["Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
 
 MILLIMETRES = 1000.0
-FINENESS = (-1.0, 1.0)
+QUALITIES = (15, 85)
 AV1_CRF = (20, 30, 40, 50, 58, 64, 70)
 AV1_SCALES = (1, 2, 4, 8)
 
@@ -127,9 +126,8 @@ class Recording:
 
     @cached_property
     def config(self) -> EncoderConfig:
-        """The encoder's choices; the cell is one for all objects."""
-        config = config_of(self.run.options)
-        return replace(config, voxel_size_m=config.voxel_size_m or self._voxel_size())
+        """The encoder's choices."""
+        return config_of(self.run.options)
 
     @cached_property
     def depth_range(self) -> tuple[float, float]:
@@ -156,10 +154,6 @@ class Recording:
             return frames
         return open_sequence(self.folder, max_depth_m=max_depth_m, frames=(0, self.limit, None))
 
-    def _voxel_size(self) -> float:
-        depth = self.frames[0].depth
-        return default_voxel_size(depth, depth > 0, self.info)
-
 
 def config_of(options: str) -> EncoderConfig:
     """Return the encoder's choices that options of ``3dvc encode`` make."""
@@ -174,20 +168,12 @@ def config_of(options: str) -> EncoderConfig:
 
 
 def ladder(config: EncoderConfig, points: int) -> list[EncoderConfig]:
-    """Return choices from coarse to fine around given ones: cells and colour steps shrink together."""
-    assert config.voxel_size_m is not None
-    factors = 2.0 ** -np.linspace(*FINENESS, points)
-    return [
-        replace(
-            config,
-            voxel_size_m=float(np.round(factor * config.voxel_size_m, 4)),
-            color=ColorConfig(
-                luma_step=max(1.0, float(factor) * config.color.luma_step),
-                chroma_step=max(1.0, float(factor) * config.color.chroma_step),
-            ),
-        )
-        for factor in factors
-    ]
+    """Return choices from coarse to fine around given ones; those have cells of their own only if they name them."""
+    qualities = np.round(np.linspace(*QUALITIES, points)).astype(int).tolist()
+    finer = [with_quality(config, quality) for quality in qualities]
+    if config.voxel_size_m is None:
+        return finer
+    return [replace(each, voxel_size_m=float(np.round(config.voxel_size_m * each.cell_factor, 4))) for each in finer]
 
 
 @dataclass(frozen=True)
@@ -236,8 +222,10 @@ def threedvc_points(recording: Recording, store: Store, points: int) -> Iterator
     """Yield the points of 3dvc, coarse to fine."""
     version = source_digest()
     for config in ladder(recording.config, points):
-        assert config.voxel_size_m is not None
-        setting = f"{MILLIMETRES * config.voxel_size_m:g} mm, steps {config.color.luma_step:.3g}/"
+        cells = f"{config.cell_factor:.3g} of the usual cells"
+        if config.voxel_size_m is not None:
+            cells = f"{MILLIMETRES * config.voxel_size_m:g} mm"
+        setting = f"{cells}, steps {config.color.luma_step:.3g}/"
         setting += f"{config.color.chroma_step:.3g}"
         place = store.place(recording, file_name(f"3dvc {recording.run.options} {setting}"))
         measure = partial(_ours, recording, config, setting, place.with_suffix(".3dvc"))

@@ -151,13 +151,13 @@ class AppearanceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig:
-    """Pose coding: quantisation steps."""
+    """Pose coding: quantisation steps; None: what moves the picture by a quarter of a pixel."""
 
-    translation_step_m: float = 0.0005
-    rotation_step_rad: float = 0.00025
+    translation_step_m: float | None = None
+    rotation_step_rad: float | None = None
 
     def __post_init__(self) -> None:
-        if self.translation_step_m <= 0 or self.rotation_step_rad <= 0:
+        if any(step is not None and not step > 0 for step in (self.translation_step_m, self.rotation_step_rad)):
             raise ConfigError(f"pose steps {self.translation_step_m} m, {self.rotation_step_rad} rad must be positive")
 
 
@@ -186,7 +186,7 @@ class EncoderConfig:
     causal
         Send each group as soon as it is fused (live); otherwise fuse everything first.
     group_frames
-        Frames whose packets are written together, or None for one second's worth.
+        Frames whose packets are written together, or None for one second's worth live and two of a file.
     threads
         Number of threads; the stream does not depend on it.
     """

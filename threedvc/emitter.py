@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from threedvc.coding.picture import can_code_pictures
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
-from threedvc.config import EncoderConfig, RenderConfig, with_step
+from threedvc.config import EncoderConfig, PoseConfig, RenderConfig, with_step
 from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.finishing import Finish
 from threedvc.frame import NANOSECONDS, SequenceInfo
@@ -58,18 +59,37 @@ MAX_STILL_GAP = 2
 MIN_LIVE_CELLS = 4
 """A live encoder lets fewer changed cells than these wait for more: their framing would outweigh them."""
 MAX_REST = MAX_COUNT // 2
+STEP_PIXELS = 0.25
+LEAST_STEP_M, GREATEST_STEP_M = 5e-5, 5e-3
 BATCH_BYTES = 48
 """About what frames a BATCH and its packets."""
+
+
+class PoseSteps(NamedTuple):
+    """Quantisation steps of poses: metres and radians."""
+
+    translation_m: float
+    rotation_rad: float
+
+
+def pose_steps(scene: Scene, config: PoseConfig) -> PoseSteps:
+    """Return the steps asked for, or those that move what is seen by a quarter of a pixel."""
+    rig = scene.info.rig
+    turn = STEP_PIXELS / max(rig.color.fx, rig.depth.fx)
+    return PoseSteps(
+        config.translation_step_m or min(max(turn * scene.distance_m, LEAST_STEP_M), GREATEST_STEP_M),
+        config.rotation_step_rad or turn,
+    )
 
 
 class _Sent:
     """What the decoder has of one object, and what it would have if colours were not quantised."""
 
-    def __init__(self, item: SceneObject, config: EncoderConfig, texture_scale: int) -> None:
+    def __init__(self, item: SceneObject, steps: PoseSteps, texture_scale: int) -> None:
         self.item = item
         self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale)
         self.wanted = DecodedModel(item.evidence.voxel_size_m)
-        self.coder = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
+        self.coder = PoseCoder(*steps)
         self.given: Pose | None = None
         self.next_coded: int | None = None
         self.final: Surface | None = None
@@ -92,7 +112,8 @@ class Emitter:
         self._scene, self._config, self._info = scene, config, scene.info
         self._finished = finished
         self._gains = GainCoder(scene.info.grey)
-        self._shifts = PoseCoder(config.pose.translation_step_m, config.pose.rotation_step_rad)
+        self._steps = pose_steps(scene, config.pose)
+        self._shifts = PoseCoder(*self._steps)
         self._sent: dict[int, _Sent] = {}
         self._color = ColorSettings(
             luma_step=config.color.luma_step, chroma_step=config.color.chroma_step, grey=scene.info.grey
@@ -122,8 +143,8 @@ class Emitter:
             start_ns=self._scene.timestamps[0],
             period_num=self._clock[0],
             period_den=self._clock[1],
-            translation_step_m=self._config.pose.translation_step_m,
-            rotation_step_rad=self._config.pose.rotation_step_rad,
+            translation_step_m=self._steps.translation_m,
+            rotation_step_rad=self._steps.rotation_rad,
             grey=info.grey,
             given_world=info.has_camera_poses,
             name=info.name,
@@ -169,7 +190,7 @@ class Emitter:
             if item.born is None or item.born >= stop:
                 return
             scale = self._config.appearance.texture_scale if self._finished else 1
-            self._sent[number] = _Sent(item, self._config, scale)
+            self._sent[number] = _Sent(item, self._steps, scale)
             yield ObjectHeader(
                 object_id=number, voxel_size_m=item.evidence.voxel_size_m, texture_bits=scale.bit_length() - 1
             ).packet()
@@ -306,7 +327,7 @@ class Emitter:
 
     def _moving(self, sent: _Sent, script: Sequence[Pose]) -> list[bool]:
         """Tell in which frames an object's pose differs from the one last sent by a quantisation step."""
-        steps = self._config.pose
+        steps = self._steps
         moving: list[bool] = []
         last = sent.given
         for pose in script:
@@ -314,9 +335,7 @@ class Emitter:
                 still = sent.coder.repeats(pose)
             else:
                 shift, turn = pose[:3, 3] - last[:3, 3], pose[:3, :3] - last[:3, :3]
-                still = (
-                    2 * np.abs(shift).max() < steps.translation_step_m and np.abs(turn).max() < steps.rotation_step_rad
-                )
+                still = 2 * np.abs(shift).max() < steps.translation_m and np.abs(turn).max() < steps.rotation_rad
             moving.append(not still)
             last = last if still else pose
         return moving

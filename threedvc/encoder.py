@@ -30,6 +30,7 @@ from threedvc.scene import Scene
 
 __all__ = ["Encoder", "OnFrame", "verified"]
 
+FILE_GROUP_S = 2
 OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
@@ -56,7 +57,7 @@ class Encoder:
         self.config = config or EncoderConfig()
         self.scene = Scene(info, self.config)
         self.reports: list[FrameReport] = []
-        self._group = self.config.group_frames or max(1, round(info.fps))
+        self._group = self.config.group_frames or max(1, round((1 if self.config.causal else FILE_GROUP_S) * info.fps))
         self._began = time.perf_counter()
 
     def packets(self, frames: Iterable[Frame], on_frame: OnFrame | None = None) -> Iterator[Packet]:

@@ -104,6 +104,11 @@ class Scene:
         Choices.
     script
         Where every object is in every frame, from an earlier pass; None: find out.
+
+    Attributes
+    ----------
+    distance_m
+        Median depth of the first frame that has any.
     """
 
     def __init__(
@@ -116,6 +121,7 @@ class Scene:
         self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
         self._sensor: SensorModel | None = None
+        self.distance_m = 0.0
 
     @property
     def entropy_bits(self) -> float:
@@ -137,6 +143,8 @@ class Scene:
             self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
             frame = self.limited(frame)
         sensor = self._sensor
+        if not self.distance_m and frame.depth.any():
+            self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
         labels = segment(frame, self.config.segmentation, self.info)
         seen = observe(frame, self.info.rig, self._rays)
         views = self.views(frame)

@@ -25,7 +25,7 @@ from threedvc.scene import Scene
 
 RIG = CameraRig.registered_to(Camera(width=8, height=6, fx=10, fy=10, cx=3.5, cy=2.5))
 INFO = SequenceInfo(name="script", rig=RIG, depth_scale=1000.0, fps=30.0, frame_count=None)
-STEPS = PoseConfig()
+STEPS = PoseConfig(translation_step_m=0.0005, rotation_step_rad=0.00025)
 START_NS = 1_700_000_000_000_000_000
 Script = Sequence[Pose]
 
@@ -37,16 +37,20 @@ def scene_of(
     frames = len(next(iter(scripts.values())))
     objects = {
         number: SimpleNamespace(
-            number=number, poses=list(script), born=(born or {}).get(number, 0), evidence=EvidenceModel(0.01)
+            distance_m=1.0,
+            number=number,
+            poses=list(script),
+            born=(born or {}).get(number, 0),
+            evidence=EvidenceModel(0.01),
         )
         for number, script in scripts.items()
     }
     times = [START_NS + round(frame * 1e9 / 30) for frame in range(frames)] if times is None else times
-    return cast(Scene, SimpleNamespace(info=INFO, objects=objects, timestamps=list(times)))
+    return cast(Scene, SimpleNamespace(distance_m=1.0, info=INFO, objects=objects, timestamps=list(times)))
 
 
 def emitted(scene: Scene, group: int = 10, config: EncoderConfig | None = None) -> list[Packet]:
-    emitter, frames = Emitter(scene, config or EncoderConfig()), len(scene.timestamps)
+    emitter, frames = Emitter(scene, config or EncoderConfig(pose=STEPS)), len(scene.timestamps)
     batches = (emitter.group(k, min(k + group, frames), [], last=k + group >= frames) for k in range(0, frames, group))
     packets = [emitter.stream(), *(batch for batch in batches if batch is not None)]
     return [*packets, emitter.end()]
@@ -91,6 +95,8 @@ def assert_follows(states: Sequence[FrameState], scripts: dict[int, Script]) -> 
             error = compose(inverse(script[state.index]), state.T_camera_object[number])
             limit = 1 if number == 0 else 2
             reach = np.linalg.norm(script[state.index][:3, 3])
+            assert STEPS.rotation_step_rad
+            assert STEPS.translation_step_m
             assert rotation_angle(error) < 2.5 * limit * STEPS.rotation_step_rad
             assert (
                 np.abs(error[:3, 3]).max()

@@ -13,7 +13,7 @@ import pytest
 
 from streams import ListSequence
 from threedvc.camera import CameraRig
-from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
+from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.decoder import Decoder, FrameState, models_digest
 from threedvc.encoder import Encoder, verified
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
@@ -36,6 +36,7 @@ THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 WHOLE = SegmentationConfig(mode=SegmentationMode.NONE)
 FRAMES = 9
+STEPS = PoseConfig(translation_step_m=0.0005, rotation_step_rad=0.00025)
 SIZES = {"paper": (56, 56), "objects": (96, 72), "room": (80, 60)}
 
 
@@ -49,7 +50,14 @@ def scene(name: str, frames: int = FRAMES, first: int = 0) -> ListSequence:
 
 def config(**changes: object) -> EncoderConfig:
     """Return a configuration for tests: small groups, the exact sensor, no second pass."""
-    values = {"group_frames": 4, "threads": 1, "sensor": Sensor.IDEAL, "refine": False, "motion": Motion.KNOWN}
+    values = {
+        "group_frames": 4,
+        "threads": 1,
+        "sensor": Sensor.IDEAL,
+        "refine": False,
+        "motion": Motion.KNOWN,
+        "pose": STEPS,
+    }
     return EncoderConfig(**{**values, **changes})  # type: ignore[arg-type]
 
 

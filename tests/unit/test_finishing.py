@@ -167,13 +167,13 @@ def test_wrong_camera_poses_are_put_right() -> None:
 
 
 def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
-    sequence = scene("room", 13)
+    sequence = scene("room", 14)
     encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
     list(encoder.packets(sequence))
     fitted = finish(encoder.scene, sequence).colors
     rig = sequence.info.rig
     for index in (2, 5, 9):
-        frame, later = sequence.frames[index], sequence.frames[index + 2]
+        frame, later = sequence.frames[index], sequence.frames[index + 4]
         assert frame.T_world_camera is not None
         assert later.T_world_camera is not None
         pose, true = inverse(frame.T_world_camera), inverse(later.T_world_camera)
@@ -190,7 +190,7 @@ def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
         before, after = (
             np.median(np.linalg.norm(pixels(T) - pixels(true), axis=1)) for T in (pose, compose(shift, pose))
         )
-        assert after < 0.6 * before
+        assert after < 0.7 * before
 
 
 def test_a_steady_camera_has_no_shifts() -> None:
