@@ -106,9 +106,17 @@ class Emitter:
         Choices.
     finished
         Colours and gains fitted to the pictures; None: the mean colours of the evidence, and no gains.
+    picture_step
+        Luma step that the quality of a backdrop follows; None: that of the cells.
     """
 
-    def __init__(self, scene: Scene, config: EncoderConfig, finished: Finish | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        config: EncoderConfig,
+        finished: Finish | None = None,
+        picture_step: float | None = None,
+    ) -> None:
         self._scene, self._config, self._info = scene, config, scene.info
         self._finished = finished
         self._gains = GainCoder(scene.info.grey)
@@ -123,7 +131,7 @@ class Emitter:
         self._bucket = None
         if config.causal and config.bitrate_bps is not None:
             self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
-        self._backdrop = self._worthwhile_backdrop()
+        self._backdrop = self._worthwhile_backdrop(picture_step or config.color.luma_step)
 
     @property
     def digest(self) -> bytes:
@@ -241,7 +249,7 @@ class Emitter:
             return replace(surface, colors=np.zeros_like(surface.colors))
         return replace(surface, colors=self._finished.colors.cell_colors(item.number)[1])
 
-    def _worthwhile_backdrop(self) -> bytes | None:
+    def _worthwhile_backdrop(self, luma_step: float) -> bytes | None:
         """Return the coded picture of the background if there is one, and it is worth its bytes.
 
         Among qualities, and coloured cells instead, that of the least squared error plus price of the bits is
@@ -251,7 +259,7 @@ class Emitter:
         finished = self._finished
         if finished is None or finished.backdrop is None or not can_code_pictures():
             return None
-        price = 8 * self._config.color.luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell
+        price = 8 * luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell
         payload, cost = finished.backdrop.best(price)
         return payload if cost < self._cost_of_cells(price) else None
 

@@ -23,7 +23,7 @@ from threedvc.finishing import Finish, align, finish
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
 from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
-from threedvc.rate_control import MIDDLE_STEP, cell_factor, closest_below, stream_bytes
+from threedvc.rate_control import CLOSE, FINER, MIDDLE_STEP, cell_factor, closest_below, stream_bytes
 from threedvc.refinement import calibrated_rig, refined_script
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
@@ -93,14 +93,22 @@ class Encoder:
         if target is None:
             return self._everything(finished, self.config)
 
-        def made(step: float) -> tuple[int, list[Packet]]:
-            packets = self._everything(finished, replace(self.config, color=with_step(step)))
+        def made(step: float, picture_step: float | None = None) -> tuple[int, list[Packet]]:
+            config = replace(self.config, color=with_step(step))
+            packets = self._everything(finished, config, picture_step)
             return stream_bytes(packets), packets
 
-        return closest_below(made, target)
+        step, size, packets = closest_below(made, target)
+        if size < CLOSE * target and finished is not None and finished.backdrop is not None:
+            # Pictures come in leaps; cells fill what a leap leaves.
+            again = closest_below(lambda finer: made(finer, step), target, (step / FINER, step))
+            packets = again[2] if size < again[1] <= target else packets
+        return packets
 
-    def _everything(self, finished: Finish | None, config: EncoderConfig) -> list[Packet]:
-        emitter = self._emitter(finished, config)
+    def _everything(
+        self, finished: Finish | None, config: EncoderConfig, picture_step: float | None = None
+    ) -> list[Packet]:
+        emitter = self._emitter(finished, config, picture_step)
         return [emitter.stream(), *self._batches(emitter, 0, last=True), emitter.end()]
 
     @property
@@ -179,12 +187,17 @@ class Encoder:
         if on_frame is not None:
             on_frame(report)
 
-    def _emitter(self, finished: Finish | None = None, config: EncoderConfig | None = None) -> Emitter:
+    def _emitter(
+        self,
+        finished: Finish | None = None,
+        config: EncoderConfig | None = None,
+        picture_step: float | None = None,
+    ) -> Emitter:
         if not self.reports:
             raise SequenceError(f"{self.info.name} has no frames")
         if not self.config.causal and not any(item.evidence.index.count for item in self.scene.objects.values()):
             raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
-        return Emitter(self.scene, config or self.config, finished)
+        return Emitter(self.scene, config or self.config, finished, picture_step)
 
     def _batches(self, emitter: Emitter, first: int, *, last: bool) -> Iterator[Packet]:
         """Yield the batches of the frames from `first` on that were taken in."""

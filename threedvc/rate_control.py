@@ -16,7 +16,7 @@ import numpy as np
 from threedvc.packets import Packet
 from threedvc.wire import pack_map
 
-__all__ = ["MIDDLE_STEP", "LeakyBucket", "cell_factor", "closest_below", "stream_bytes"]
+__all__ = ["CLOSE", "FINER", "MIDDLE_STEP", "LeakyBucket", "cell_factor", "closest_below", "stream_bytes"]
 
 MIDDLE_STEP = 10.0
 FRAME_BYTES = 9.0
@@ -26,7 +26,8 @@ WORTHWHILE = 1.08
 PACKET_BYTES, FILE_HEAD_BYTES, ENTRY_BYTES = 28, 11, 6
 LEAST_STEP, GREATEST_STEP = 0.5, 160.0
 TRIALS = 9
-CLOSE = 0.985
+CLOSE = 0.98
+FINER = 8.0
 
 Result = TypeVar("Result")
 
@@ -54,8 +55,12 @@ def cell_factor(surface_bytes: int, frames: int, target_bytes: float) -> float:
     return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
 
 
-def closest_below(make: Callable[[float], tuple[int, Result]], target_bytes: float) -> Result:
-    """Return the largest result of at most `target_bytes`, or the smallest there is, by bisection of the step.
+def closest_below(
+    make: Callable[[float], tuple[int, Result]],
+    target_bytes: float,
+    steps: tuple[float, float] = (LEAST_STEP, GREATEST_STEP),
+) -> tuple[float, int, Result]:
+    """Find the largest result of at most `target_bytes`, or the smallest there is, by bisection of the step.
 
     Parameters
     ----------
@@ -63,27 +68,29 @@ def closest_below(make: Callable[[float], tuple[int, Result]], target_bytes: flo
         Gives the size and the result for a quantisation step; sizes fall as steps rise.
     target_bytes
         Wanted size.
+    steps
+        Least and greatest step.
+
+    Returns
+    -------
+    step, size, result
+        The step chosen, and what it gives.
     """
-    low, high = np.log2(LEAST_STEP), np.log2(GREATEST_STEP)
-    best: tuple[int, Result] | None = None
-    smallest: tuple[int, Result] | None = None
-    step = np.log2(MIDDLE_STEP)
+    low, high = np.log2(steps)
+    step = np.log2(MIDDLE_STEP) if low < np.log2(MIDDLE_STEP) < high else (low + high) / 2
+    tried: list[tuple[float, int, Result]] = []
     for _ in range(TRIALS):
         size, result = make(float(2**step))
-        if smallest is None or size < smallest[0]:
-            smallest = size, result
+        tried.append((float(2**step), size, result))
         if size > target_bytes:
             low = step
         else:
             high = step
-            if best is None or size > best[0]:
-                best = size, result
             if size > CLOSE * target_bytes:
                 break
         step = (low + high) / 2
-    chosen = best or smallest
-    assert chosen is not None
-    return chosen[1]
+    fitting = [each for each in tried if each[1] <= target_bytes]
+    return max(fitting, key=lambda each: each[1]) if fitting else min(tried, key=lambda each: each[1])
 
 
 class LeakyBucket:

@@ -37,6 +37,8 @@ class RayGrid:
         Numbers of all rays, packet by packet: neighbours meet the same blocks while these are at hand.
     sparse
         Those at even rows and columns.
+    sparsest
+        Those of them whose row and column are both, or neither, multiples of four.
     origin, size
         (2,) first corner and extent of a tile.
     """
@@ -47,6 +49,7 @@ class RayGrid:
         rows, columns = np.divmod(np.arange(fine.width * fine.height), fine.width)
         self.order = np.lexsort((columns, rows, columns // PACKET_SIDE, rows // PACKET_SIDE))
         self.sparse = self.order[(rows[self.order] | columns[self.order]) & 1 == 0]
+        self.sparsest = self.sparse[((rows ^ columns)[self.sparse] & 2) == 0]
         self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
         low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
         self.origin = low

@@ -18,7 +18,7 @@ from threedvc.block_index import BLOCK_CELLS, BlockIndex
 from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
 from threedvc.kernels.hole_filling import pull, push
-from threedvc.kernels.ray_sampling import interpolate_between
+from threedvc.kernels.ray_sampling import interpolate_between, interpolate_diamonds
 from threedvc.kernels.raycast import OPACITY, cast_rays
 from threedvc.kernels.render_blocks import build_block
 from threedvc.kernels.shading import relight, shade, shade_from_picture
@@ -33,6 +33,7 @@ __all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unkn
 BORDERED_CELLS = 9**3
 SMALL_PICTURE = 320 * 240
 MIN_RAYS_PER_CELL = 2.5
+MIN_RAYS_PER_DIAMOND = 3.0
 SAME_PLACE = 1e-9
 
 
@@ -216,7 +217,7 @@ class Renderer:
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Find what every ray meets first.
 
-        Every second ray of every second row is cast, then those between that cannot be interpolated.
+        Of every second ray of every second row half are cast at first, then those between that cannot be interpolated.
 
         Returns
         -------
@@ -234,11 +235,25 @@ class Renderer:
             if models[number].index.count
         ]
         for cast in casts:
-            cast(rays.sparse)
-        wanted = np.ones(count, dtype=np.uint8)
-        wanted[rays.sparse] = 0
+            cast(rays.sparsest)
         shown = [models[number].model.voxel_size_m for number in poses if models[number].index.count]
-        if shown and _cell_is_wide(min(shown), depth[rays.sparse], rays.fx):
+        width = _rays_per_cell(min(shown), depth[rays.sparsest], rays.fx) if shown else 0.0
+        wanted = np.zeros(count, dtype=np.uint8)
+        if width >= MIN_RAYS_PER_DIAMOND:
+
+            def diamonds(start: int, stop: int) -> None:
+                interpolate_diamonds(start, stop, rays.width, rays.height, depth, labels, wanted)
+
+            for_ranges(diamonds, (rays.height + 1) // 2, self.config.threads)
+        else:
+            wanted[rays.sparse] = 1
+            wanted[rays.sparsest] = 0
+        rest = rays.sparse[wanted[rays.sparse] != 0]
+        for cast in casts:
+            cast(rest)
+        wanted[:] = 1
+        wanted[rays.sparse] = 0
+        if width >= MIN_RAYS_PER_CELL:
 
             def between(start: int, stop: int) -> None:
                 interpolate_between(start, stop, rays.width, rays.height, depth, labels, wanted)
@@ -360,10 +375,10 @@ class Renderer:
         return np.asarray(np.clip(value, 0, 255) + np.float32(0.5)).astype(np.uint8)
 
 
-def _cell_is_wide(voxel_size_m: float, depth: NDArray[np.float32], fx: float) -> bool:
-    """Tell whether cells are wide enough against the rays that every second ray meets them all."""
+def _rays_per_cell(voxel_size_m: float, depth: NDArray[np.float32], fx: float) -> float:
+    """Return how many rays wide a cell is at the median depth of the hits."""
     hits = depth[depth > 0]
-    return len(hits) > 0 and voxel_size_m * fx >= MIN_RAYS_PER_CELL * float(np.median(hits))
+    return voxel_size_m * fx / float(np.median(hits)) if len(hits) else 0.0
 
 
 def fill_unknown(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:

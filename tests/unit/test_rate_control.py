@@ -26,13 +26,14 @@ def made(step: float) -> tuple[int, float]:
 
 @pytest.mark.parametrize("target", [1800, 5000, 20_000, 100_000])
 def test_bisection_comes_close_from_below(target: int) -> None:
-    size = made(closest_below(made, target))[0]
+    step, size, result = closest_below(made, target)
     assert 0.95 * target < size <= target
+    assert made(step) == (size, result)
 
 
 def test_bounds_of_the_step_are_kept() -> None:
-    assert closest_below(made, 10) == pytest.approx(GREATEST_STEP, rel=0.05)
-    assert closest_below(made, 10**9) == pytest.approx(LEAST_STEP, rel=0.05)
+    assert closest_below(made, 10)[0] == pytest.approx(GREATEST_STEP, rel=0.05)
+    assert closest_below(made, 10**9)[0] == pytest.approx(LEAST_STEP, rel=0.05)
 
 
 def test_cells_follow_the_rate() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from threedvc.kernels import kernel
 
-__all__ = ["interpolate_between"]
+__all__ = ["interpolate_between", "interpolate_diamonds"]
 
 MAX_DEPTH_STEP = 0.02
 MAX_BEND = 0.004
@@ -24,6 +24,38 @@ def is_smooth(depth, labels, a, b, c, d):
         return False
     bend = 1.0 / depth[a] - 1.0 / depth[b] - 1.0 / depth[c] + 1.0 / depth[d]
     return abs(bend) * near < MAX_BEND
+
+
+@kernel
+def interpolate_diamonds(start, stop, width, height, depth, labels, wanted):
+    """Interpolate rays at even rows and columns between four that are cast, and say which have to be cast.
+
+    Cast are those whose row and column are both, or neither, multiples of four; the others have four of them
+    around at a distance of two.
+
+    Parameters
+    ----------
+    start, stop
+        Range of even rows, counted from 0.
+    depth, labels
+        (width * height,) float32 and uint8, updated.
+    wanted
+        (width * height,) uint8: set where a ray has to be cast.
+    """
+    for row in range(2 * start, min(2 * stop, height), 2):
+        for column in range(2 - (row & 2), width, 4):
+            place = row * width + column
+            wanted[place] = 1
+            if row < 2 or column < 2 or row + 2 >= height or column + 2 >= width:
+                continue
+            above, below, left, right = place - 2 * width, place + 2 * width, place - 2, place + 2
+            if not is_smooth(depth, labels, above, left, right, below):
+                continue
+            wanted[place] = 0
+            if depth[above] > 0.0:
+                inverse = 1.0 / depth[above] + 1.0 / depth[below] + 1.0 / depth[left] + 1.0 / depth[right]
+                depth[place] = 4.0 / inverse
+                labels[place] = labels[above]
 
 
 @kernel
