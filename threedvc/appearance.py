@@ -46,6 +46,7 @@ __all__ = [
     "Sampler",
     "aligned_pose",
     "aligned_shift",
+    "every_nth",
     "fit_colors",
     "fit_gain",
     "fit_light",
@@ -93,6 +94,8 @@ class ColorField:
         Texels along an edge of a cell; 1: the cells themselves are coloured.
     threads
         Number of threads.
+    guessed
+        Numbers of the objects whose shape is a guess.
 
     Attributes
     ----------
@@ -110,12 +113,13 @@ class ColorField:
         voxel_size_m: Mapping[int, float],
         texture_scale: Mapping[int, int],
         threads: int,
+        guessed: frozenset[int] = frozenset(),
     ) -> None:
         self.models: dict[int, RenderModel] = {}
         self._numbers: dict[int, NDArray[np.int32]] = {}
         values, neighbours, first = [], [], 0
         for number, surface in surfaces.items():
-            model = _model_of(surface, voxel_size_m[number], texture_scale[number])
+            model = _model_of(surface, voxel_size_m[number], texture_scale[number], number in guessed)
             self.models[number] = RenderModel(model)
             self.models[number].refresh(threads)
             numbers, cells, own = _numbered(model)
@@ -177,9 +181,9 @@ def _rounded(values: NDArray[np.floating]) -> NDArray[np.int16]:
     return np.asarray(np.clip(np.rint(values), -256, 511), dtype=np.int16)
 
 
-def _model_of(surface: Surface, voxel_size_m: float, texture_scale: int) -> DecodedModel:
+def _model_of(surface: Surface, voxel_size_m: float, texture_scale: int, guessed: bool) -> DecodedModel:
     """Return a decoded model with the cells of a surface, and texels coloured as their cells."""
-    model = DecodedModel(voxel_size_m, texture_scale)
+    model = DecodedModel(voxel_size_m, texture_scale, guessed=guessed)
     none = np.empty((0, 3), dtype=np.int32)
     update = ModelUpdate(
         added=surface.cells,
@@ -278,7 +282,7 @@ class Sampler:
         camera = rig.color
         self._stride = max(1, int(np.ceil(np.sqrt(camera.width * camera.height / pixels))))
         offsets = sorted({(x % self._stride, y % self._stride) for x, y in PHASES})
-        self._grids = [(x, y, RayGrid(_every(camera, self._stride, x, y))) for x, y in offsets]
+        self._grids = [(x, y, RayGrid(every_nth(camera, self._stride, x, y))) for x, y in offsets]
         self._renderer = Renderer(rig, RenderConfig(supersample=1, threads=threads))
 
     @property
@@ -293,7 +297,8 @@ class Sampler:
         x, y, rays = self._grids[frame.index % len(self._grids)]
         T_color_camera = compose(self._rig.T_color_depth, T_shifted_camera)
         moved = {number: compose(T_color_camera, poses[number]) for number in poses}
-        depth, labels = self._renderer.cast(rays, field.models, moved)
+        met = self._renderer.cast(rays, field.models, moved)
+        depth, labels = self._renderer.cast_guessed(rays, field.models, moved, *met)
         count = len(depth)
         points = np.concatenate([rays.slopes, np.ones((count, 1))], axis=1) * depth[:, None].astype(np.float64)
         numbers, weights = np.zeros((count, 8), np.int32), np.zeros((count, 8), np.uint8)
@@ -317,7 +322,7 @@ class Sampler:
         )
 
 
-def _every(camera: Camera, n: int, x: int, y: int) -> Camera:
+def every_nth(camera: Camera, n: int, x: int = 0, y: int = 0) -> Camera:
     """Return the camera of every n-th pixel from (x, y) on."""
     return Camera(
         width=-(-(camera.width - x) // n),

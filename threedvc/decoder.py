@@ -302,7 +302,9 @@ class Decoder:
         if header.object_id in self.models:
             raise CorruptStream(f"object {header.object_id} is introduced twice")
         assert self.header is not None
-        self.models[header.object_id] = DecodedModel(header.voxel_size_m, 1 << header.texture_bits)
+        self.models[header.object_id] = DecodedModel(
+            header.voxel_size_m, 1 << header.texture_bits, guessed=header.guessed
+        )
         self._coders[header.object_id] = PoseCoder(self.header.translation_step_m, self.header.rotation_step_rad)
         self._scripts[header.object_id] = identity()
 

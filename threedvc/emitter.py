@@ -85,9 +85,9 @@ def pose_steps(scene: Scene, config: PoseConfig) -> PoseSteps:
 class _Sent:
     """What the decoder has of one object, and what it would have if colours were not quantised."""
 
-    def __init__(self, item: SceneObject, steps: PoseSteps, texture_scale: int) -> None:
+    def __init__(self, item: SceneObject, steps: PoseSteps, texture_scale: int, guessed: bool) -> None:
         self.item = item
-        self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale)
+        self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale, guessed=guessed)
         self.wanted = DecodedModel(item.evidence.voxel_size_m)
         self.coder = PoseCoder(*steps)
         self.given: Pose | None = None
@@ -120,6 +120,11 @@ class Emitter:
         self._scene, self._config, self._info = scene, config, scene.info
         self._finished = finished
         self._gains = GainCoder(scene.info.grey)
+        self._guessed: dict[int, SceneObject] = {}
+        if finished is not None and finished.guess is not None:
+            number, guess = finished.guess
+            self._guessed[number] = SceneObject(number, guess.voxel_size_m, None)
+            self._guessed[number].born = int(guess.surface.first_seen.min())
         self._steps = pose_steps(scene, config.pose)
         self._shifts = PoseCoder(*self._steps)
         self._sent: dict[int, _Sent] = {}
@@ -173,7 +178,7 @@ class Emitter:
         if self._bucket is not None:
             self._bucket.wait((stop - first) / self._info.fps)
         members = list(self._clock_packets(first, stop))
-        for number in sorted(self._scene.objects):
+        for number in sorted({*self._scene.objects, *self._guessed}):
             members += self._object(number, first, stop, last)
         if not first and self._backdrop is not None:
             members.append(BackdropHeader(frame=first).packet(self._backdrop))
@@ -193,14 +198,18 @@ class Emitter:
         return EndHeader(frames=len(self._scene.timestamps), digest=self.digest).packet()
 
     def _object(self, number: int, first: int, stop: int, last: bool) -> Iterator[Packet]:
-        item = self._scene.objects[number]
+        guessed = number in self._guessed
+        item = self._guessed[number] if guessed else self._scene.objects[number]
         if number not in self._sent:
             if item.born is None or item.born >= stop:
                 return
-            scale = self._config.appearance.texture_scale if self._finished else 1
-            self._sent[number] = _Sent(item, self._steps, scale)
+            scale = self._config.appearance.texture_scale if self._finished and not guessed else 1
+            self._sent[number] = _Sent(item, self._steps, scale, guessed)
             yield ObjectHeader(
-                object_id=number, voxel_size_m=item.evidence.voxel_size_m, texture_bits=scale.bit_length() - 1
+                object_id=number,
+                voxel_size_m=item.evidence.voxel_size_m,
+                texture_bits=scale.bit_length() - 1,
+                guessed=guessed,
             ).packet()
             if self._finished is not None and number in self._finished.colors.lights:
                 yield LightHeader(object_id=number, frame=first).packet(
@@ -238,10 +247,15 @@ class Emitter:
         if self._config.causal:
             return changes(sent.item.evidence, sent.wanted, self._config.threads)
         if sent.final is None:
-            sent.final = in_regions(self._surface(sent.item))
+            surface = self._surface(sent.item)
+            sent.final = surface if sent.model.guessed else in_regions(surface)
         return first_sights(sent.final, sent.model, until_frame)
 
     def _surface(self, item: SceneObject) -> Surface:
+        if item.number in self._guessed:
+            assert self._finished is not None
+            assert self._finished.guess is not None
+            return replace(self._finished.guess[1].surface, colors=self._finished.colors.cell_colors(item.number)[1])
         surface = read_surface(item.evidence, self._config.threads)
         if self._finished is None:
             return surface
@@ -331,6 +345,8 @@ class Emitter:
         if not item.number:
             return poses
         world = self._scene.objects[0].poses[first:stop]
+        if item.number in self._guessed:
+            return [identity()] * len(world)
         return [compose(inverse(T_camera_world), pose) for T_camera_world, pose in zip(world, poses, strict=True)]
 
     def _moving(self, sent: _Sent, script: Sequence[Pose]) -> list[bool]:

@@ -28,6 +28,7 @@ from threedvc.appearance import (
 from threedvc.backdrop import PictureChoice, background_picture
 from threedvc.coding.gains import NEUTRAL, apply_gain
 from threedvc.frame import Frame, FrameSequence
+from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.motion import Located
 from threedvc.pose import Pose, identity, inverse
 from threedvc.readout import read_surface
@@ -47,6 +48,8 @@ WORTHWHILE_GAIN = 0.01
 WORTHWHILE_SHIFT = 0.06
 """Share of the squared error that shifts must save: about a quarter of a decibel for some four bytes a frame."""
 BACKDROP_FRAMES = 80
+GUESS_FRAMES = 60
+MAX_LABEL = 255
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +66,8 @@ class Finish:
         T_shifted_camera of every frame: how the camera moved between depth and colour picture.
     backdrop
         The picture of a background at rest before a camera at rest, or None.
+    guess
+        Cells where depth is missing, and the number of their object; None where little is missing.
     pixels_per_cell
         How many pixels of a frame show a coloured cell, on an average over all frames; without those of a
         background that has a backdrop, unless there is nothing else.
@@ -72,6 +77,7 @@ class Finish:
     gains: NDArray[np.int64]
     shifts: list[Pose]
     backdrop: PictureChoice | None
+    guess: tuple[int, Guess] | None
     pixels_per_cell: float
 
 
@@ -102,6 +108,7 @@ def align(scene: Scene, frames: FrameSequence, rounds: int) -> tuple[Script, lis
 def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = None) -> Finish:
     """Fit colours, light and gains at the scene's poses and at shifts that `align` has found."""
     fit = _Fit(scene, frames, list(shifts) if shifts is not None else [identity()] * len(frames))
+    fit.guess_holes()
     fit.take_samples()
     fit.fit_colors()
     gains = fit.steady_gains()
@@ -111,6 +118,7 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
         gains=gains,
         shifts=fit.shifts,
         backdrop=backdrop,
+        guess=fit.guess,
         pixels_per_cell=fit.pixels_per_cell(backdrop is not None),
     )
 
@@ -122,9 +130,8 @@ class _Fit:
         self._scene, self._frames = scene, frames
         self._threads, self._grey = scene.config.threads, scene.info.grey
         self._surfaces = {number: read_surface(item.evidence, self._threads) for number, item in scene.objects.items()}
-        sizes = {number: item.evidence.voxel_size_m for number, item in scene.objects.items()}
-        scales = dict.fromkeys(scene.objects, scene.config.appearance.texture_scale)
-        self.colors = ColorField(self._surfaces, sizes, scales, self._threads)
+        self.guess: tuple[int, Guess] | None = None
+        self.colors = self._field()
         self.script: Script = {number: list(item.found) for number, item in scene.objects.items()}
         self.shifts = shifts
         self.may_shift = False
@@ -134,6 +141,30 @@ class _Fit:
         self._gains = np.repeat(NEUTRAL[None], len(frames), axis=0)
         self._lit = [number for number, item in scene.objects.items() if _turns(scene, item)]
         self._kept: list[tuple[int, FrameSamples]] = []
+
+    def _field(self) -> ColorField:
+        scene = self._scene
+        sizes = {number: item.evidence.voxel_size_m for number, item in scene.objects.items()}
+        scales = dict.fromkeys(scene.objects, scene.config.appearance.texture_scale)
+        surfaces, guessed = dict(self._surfaces), frozenset[int]()
+        if self.guess is not None:
+            number, guess = self.guess
+            surfaces[number], sizes[number], scales[number] = guess.surface, guess.voxel_size_m, 1
+            guessed = frozenset([number])
+        return ColorField(surfaces, sizes, scales, self._threads, guessed)
+
+    def guess_holes(self) -> None:
+        """Guess surfaces where the colour pictures of a moving camera show something and the model has nothing."""
+        scene = self._scene
+        free = [number for number in range(1, MAX_LABEL + 1) if number not in scene.objects]
+        if scene.at_rest(0) or not free or not self._surfaces[0].cells.size:
+            return
+        chosen = range(0, len(self._frames), -(-len(self._frames) // GUESS_FRAMES))
+        views = ((index, poses, self.shifts[index]) for index in chosen if 0 in (poses := self._poses(index)))
+        guess = guess_surfaces(scene.info.rig, views, self.colors.models, scene.distance_m, self._threads)
+        if len(guess.surface.cells):
+            self.guess = free[-1], guess
+            self.colors = self._field()
 
     def take_samples(self, *, aligned: bool = False) -> None:
         """Sample all frames, if wanted after aligning what may move in them with the colours so far."""
@@ -228,6 +259,8 @@ class _Fit:
             at = self.script[number][frame]
             if item.born is not None and item.born <= frame:
                 poses[number] = item.poses[frame] if at is None else at.T_camera_object
+        if self.guess is not None and 0 in poses:
+            poses[self.guess[0]] = poses[0]
         return poses
 
 

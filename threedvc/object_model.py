@@ -46,6 +46,8 @@ class DecodedModel:
         (blocks, 512) uint8.
     color
         (blocks, 512, 3) int16 RGB; 0 in empty cells.
+    guessed
+        Whether its shape is a guess, drawn in colour only and behind all others.
     planes
         (blocks, 512, 4) int8 planes of the occupied cells, as of the last call of `fit_planes`.
     texture
@@ -54,8 +56,9 @@ class DecodedModel:
         Number of updates applied.
     """
 
-    def __init__(self, voxel_size_m: float, texture_scale: int = 1) -> None:
+    def __init__(self, voxel_size_m: float, texture_scale: int = 1, *, guessed: bool = False) -> None:
         self.voxel_size_m = voxel_size_m
+        self.guessed = guessed
         self.texture = Texture(texture_scale) if texture_scale > 1 else None
         self.index = BlockIndex()
         self.occupied = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)

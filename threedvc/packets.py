@@ -278,6 +278,9 @@ class ObjectHeader(Header):
         Edge length of a cell.
     texture_bits
         Texels along an edge of a cell, as a power of two; 0: the object has no texture.
+    guessed
+        Whether the object's shape is a guess where nothing was measured: it is drawn in colour pictures only, and
+        behind all others.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.OBJECT
@@ -285,6 +288,7 @@ class ObjectHeader(Header):
     object_id: int = key("o", integer(0, MAX_OBJECT_ID))
     voxel_size_m: float = key("h", number(1e-6, 1e3))
     texture_bits: int = key("t", integer(0, MAX_TEXTURE_BITS), default=0)
+    guessed: bool = key("g", flag(), default=False)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -203,11 +203,12 @@ class Renderer:
         picture = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
         still = T_shifted_camera is None or np.array_equal(T_shifted_camera, identity())
         if color and still and self._color_rays is rays:
-            picture = self._pixels(*self._shade(rays, models, poses, depth, labels, backdrop, lights or {}), gain)
+            met = self.cast_guessed(rays, models, poses, depth, labels)
+            picture = self._pixels(*self._shade(rays, models, poses, *met, backdrop, lights or {}), gain)
         elif color:
             T = rig.T_color_depth if T_shifted_camera is None else compose(rig.T_color_depth, T_shifted_camera)
             moved = {number: compose(T, poses[number]) for number in poses}
-            met = self.cast(self._color_rays, models, moved)
+            met = self.cast_guessed(self._color_rays, models, moved, *self.cast(self._color_rays, models, moved))
             picture = self._pixels(*self._shade(self._color_rays, models, moved, *met, backdrop, lights or {}), gain)
         shape = (rig.depth.height, rig.depth.width)
         return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape))
@@ -232,11 +233,15 @@ class Renderer:
         casts = [
             self._caster(rays, models[number], number, poses[number], depth, labels)
             for number in sorted(poses)
-            if models[number].index.count
+            if models[number].index.count and not models[number].model.guessed
         ]
         for cast in casts:
             cast(rays.sparsest)
-        shown = [models[number].model.voxel_size_m for number in poses if models[number].index.count]
+        shown = [
+            models[number].model.voxel_size_m
+            for number in poses
+            if models[number].index.count and not models[number].model.guessed
+        ]
         width = _rays_per_cell(min(shown), depth[rays.sparsest], rays.fx) if shown else 0.0
         wanted = np.zeros(count, dtype=np.uint8)
         if width >= MIN_RAYS_PER_DIAMOND:
@@ -262,6 +267,24 @@ class Renderer:
         rest = rays.order[wanted[rays.order] != 0]
         for cast in casts:
             cast(rest)
+        return depth, labels
+
+    def cast_guessed(
+        self,
+        rays: RayGrid,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return what `cast` has found, and guessed objects where it has found nothing."""
+        guessed = [number for number in sorted(poses) if models[number].model.guessed and models[number].index.count]
+        if not guessed:
+            return depth, labels
+        depth, labels = depth.copy(), labels.copy()
+        rest = rays.order[depth[rays.order] == 0]
+        for number in guessed:
+            self._caster(rays, models[number], number, poses[number], depth, labels)(rest)
         return depth, labels
 
     def _caster(

@@ -224,3 +224,43 @@ def test_a_live_stream_never_exceeds_its_rate() -> None:
         seconds = (batch.header["f"] + batch.header["n"]) / sequence.info.fps
         assert total <= rate / 8 * (seconds + config.live_buffer_s)
     assert sum(free) > sent[-1]
+
+
+def with_hole(sequence: ListSequence) -> ListSequence:
+    """Return frames without depth in a part of the scene that all of them show."""
+    frames = []
+    for frame in sequence.frames:
+        depth = frame.depth.copy()
+        depth[30:70, 40:90] = 0
+        frames.append(replace(frame, depth=depth))
+    return ListSequence(frames, sequence.info)
+
+
+def test_holes_in_depth_are_drawn_in_colour_alone() -> None:
+    sequence = with_hole(scene("room"))
+    packets = encoded(sequence, with_preset(FILE, Preset.FAST))
+    guessed = [packet.header["o"] for packet in members(packets, PacketType.OBJECT) if packet.header.get("g")]
+    assert len(guessed) == 1
+    assert not [packet for packet in members(packets, PacketType.POSE) if packet.header.get("o", 0) == guessed[0]]
+    decoder = Decoder()
+    state = next(iter(decoder.frames(packets)))
+    shown = {number: RenderModel(model) for number, model in decoder.models.items()}
+    for model in shown.values():
+        model.refresh(1)
+    renderer = Renderer(sequence.info.rig, RenderConfig(threads=1))
+    whole = renderer.draw(shown, state.T_camera_object)
+    measured = {number: pose for number, pose in state.T_camera_object.items() if number not in guessed}
+    without = renderer.draw(shown, measured)
+    np.testing.assert_array_equal(whole.depth, without.depth)
+    np.testing.assert_array_equal(whole.labels, without.labels)
+    hole = (slice(36, 64), slice(46, 84))
+    wanted = sequence.frames[0].color[hole]
+    errors = [np.square(each.color[hole].astype(float) - wanted).mean() for each in (whole, without)]
+    assert errors[0] < 0.8 * errors[1]
+    same = without.depth > 0
+    assert np.mean(np.any(whole.color != without.color, axis=2)[same]) < 0.1
+
+
+def test_a_scene_without_holes_needs_no_guess() -> None:
+    packets = encoded(scene("paper"), replace(with_preset(FILE, Preset.FAST), segmentation=THRESHOLD))
+    assert not [packet for packet in members(packets, PacketType.OBJECT) if packet.header.get("g")]
