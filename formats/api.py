@@ -243,12 +243,18 @@ class DecodedStream:
             depth=picture.depth,
             labels=picture.labels,
             T_world_camera=T_world_camera,
-            T_camera_object={number: pose for number, pose in poses.items() if number},
+            T_camera_object={
+                number: pose for number, pose in poses.items() if number and not self.decoder.models[number].guessed
+            },
         )
+
+    def _shows(self, number: int) -> bool:
+        """Tell whether an object is to be drawn; guessed ones belong to the background."""
+        return self._objects is None or (0 if self.decoder.models[number].guessed else number) in self._objects
 
     def _picture(self, poses: dict[int, Pose], state: FrameState) -> Picture:
         """Draw the objects; gain and shift are those of the camera that filmed, not of one on another path."""
-        shown = {number: pose for number, pose in poses.items() if self._objects is None or number in self._objects}
+        shown = {number: pose for number, pose in poses.items() if self._shows(number)}
         for number in shown:
             if number not in self._models:
                 self._models[number] = RenderModel(self.decoder.models[number])

@@ -49,6 +49,7 @@ WORTHWHILE_SHIFT = 0.06
 """Share of the squared error that shifts must save: about a quarter of a decibel for some four bytes a frame."""
 BACKDROP_FRAMES = 80
 GUESS_FRAMES = 60
+MIN_GUESSED_CELLS = 32
 MAX_LABEL = 255
 
 
@@ -162,7 +163,7 @@ class _Fit:
         chosen = range(0, len(self._frames), -(-len(self._frames) // GUESS_FRAMES))
         views = ((index, poses, self.shifts[index]) for index in chosen if 0 in (poses := self._poses(index)))
         guess = guess_surfaces(scene.info.rig, views, self.colors.models, scene.distance_m, self._threads)
-        if len(guess.surface.cells):
+        if len(guess.surface.cells) >= MIN_GUESSED_CELLS:
             self.guess = free[-1], guess
             self.colors = self._field()
 
