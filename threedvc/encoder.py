@@ -152,6 +152,8 @@ class Encoder:
                 self.scene = Scene(replace(self.info, rig=rig), self.config, known)
                 self._fuse_all(frames, on_frame)
             self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
+            # Better poses make smoother surfaces, which take fewer bits.
+            self._fit_cells(frames, on_frame)
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
                 script, shifts = align(self.scene, frames, self.config.appearance.rounds)
                 self._fuse_again(frames, on_frame, script)

@@ -18,7 +18,7 @@ from threedvc.wire import pack_map
 
 __all__ = ["CLOSE", "FINER", "MIDDLE_STEP", "LeakyBucket", "cell_factor", "closest_below", "stream_bytes"]
 
-MIDDLE_STEP = 10.0
+MIDDLE_STEP = 16.0
 FRAME_BYTES = 9.0
 HEAD_BYTES = 700.0
 MAX_CELL_FACTOR = 4.0
