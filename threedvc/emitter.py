@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +47,7 @@ from threedvc.packets import (
     pack_batch,
 )
 from threedvc.pose import Pose, compose, identity, inverse
-from threedvc.rate_control import LeakyBucket
+from threedvc.rate_control import LeakyBucket, stream_bytes
 from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface, surest_part
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
@@ -61,8 +62,11 @@ MIN_LIVE_CELLS = 4
 MAX_REST = MAX_COUNT // 2
 STEP_PIXELS = 0.25
 LEAST_STEP_M, GREATEST_STEP_M = 5e-5, 5e-3
-BATCH_BYTES = 48
-"""About what frames a BATCH and its packets."""
+BATCH_BYTES = 40
+MEMBER_BYTES = 20
+END_BYTES = 112
+INDEX_ENTRY_BYTES = 8
+"""At most what frames a BATCH, a model update in it, and the end of a stream."""
 
 
 class PoseSteps(NamedTuple):
@@ -93,6 +97,14 @@ class _Sent:
         self.given: Pose | None = None
         self.next_coded: int | None = None
         self.final: Surface | None = None
+
+
+class _Entry(NamedTuple):
+    """What a group holds of an object besides its model update."""
+
+    sent: _Sent
+    introduction: list[Packet]
+    poses: list[Packet]
 
 
 class Emitter:
@@ -133,9 +145,11 @@ class Emitter:
         )
         self._clock = _clock(scene.info)
         self._batched = 0
+        self._groups = 0
         self._bucket = None
         if config.causal and config.bitrate_bps is not None:
             self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
+            self._bucket.take(stream_bytes([self.stream()]))
         self._backdrop = self._worthwhile_backdrop(picture_step or config.color.luma_step)
 
     @property
@@ -175,16 +189,23 @@ class Emitter:
         last
             Whether no frame follows: the batch then holds every cell that is still due.
         """
-        if self._bucket is not None:
-            self._bucket.wait((stop - first) / self._info.fps)
-        members = list(self._clock_packets(first, stop))
-        for number in sorted({*self._scene.objects, *self._guessed}):
-            members += self._object(number, first, stop, last)
+        entries = [entry for number in self._numbers() if (entry := self._enter(number, first, stop)) is not None]
+        around = [
+            *self._clock_packets(first, stop),
+            *self._shift_packets(first, stop),
+            *self._gain_packets(first, stop),
+        ]
         if not first and self._backdrop is not None:
-            members.append(BackdropHeader(frame=first).packet(self._backdrop))
-        members += self._shift_packets(first, stop)
-        members += self._gain_packets(first, stop)
-        members += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
+            around.append(BackdropHeader(frame=first).packet(self._backdrop))
+        around += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
+        needed = [packet for entry in entries for packet in (*entry.introduction, *entry.poses)]
+        room = self._room(first, stop, [*around, *needed], last)
+        members = []
+        for entry in entries:
+            update = list(self._model(entry.sent, first, None if last else stop, room, last))
+            room -= _packed_bytes(update)
+            members += [*entry.introduction, *update, *entry.poses]
+        members += around
         if not members and stop - self._batched <= MAX_REST:
             return None
         self._batched = stop
@@ -197,49 +218,64 @@ class Emitter:
         """Return the END packet."""
         return EndHeader(frames=len(self._scene.timestamps), digest=self.digest).packet()
 
-    def _object(self, number: int, first: int, stop: int, last: bool) -> Iterator[Packet]:
+    def _room(self, first: int, stop: int, needed: Sequence[Packet], last: bool) -> float:
+        """Return how many bytes model updates may take in a group whose other packets are known."""
+        if self._bucket is None:
+            return inf
+        self._bucket.wait((stop - first) / self._info.fps)
+        self._groups += 1
+        ending = END_BYTES + INDEX_ENTRY_BYTES * self._groups if last else 0
+        return self._bucket.room - _packed_bytes(needed) - BATCH_BYTES - ending
+
+    def _numbers(self) -> list[int]:
+        return sorted({*self._scene.objects, *self._guessed})
+
+    def _enter(self, number: int, first: int, stop: int) -> _Entry | None:
+        """Return what a group holds of an object besides its model update; None before it appears."""
         guessed = number in self._guessed
         item = self._guessed[number] if guessed else self._scene.objects[number]
+        introduction = []
         if number not in self._sent:
             if item.born is None or item.born >= stop:
-                return
+                return None
             scale = self._config.appearance.texture_scale if self._finished and not guessed else 1
             self._sent[number] = _Sent(item, self._steps, scale, guessed)
-            yield ObjectHeader(
-                object_id=number,
-                voxel_size_m=item.evidence.voxel_size_m,
-                texture_bits=scale.bit_length() - 1,
-                guessed=guessed,
-            ).packet()
+            introduction.append(
+                ObjectHeader(
+                    object_id=number,
+                    voxel_size_m=item.evidence.voxel_size_m,
+                    texture_bits=scale.bit_length() - 1,
+                    guessed=guessed,
+                ).packet()
+            )
             if self._finished is not None and number in self._finished.colors.lights:
-                yield LightHeader(object_id=number, frame=first).packet(
-                    pack_light(self._finished.colors.lights[number])
-                )
+                light = pack_light(self._finished.colors.lights[number])
+                introduction.append(LightHeader(object_id=number, frame=first).packet(light))
         sent = self._sent[number]
-        poses = list(self._poses(sent, first, stop))
-        update = self._update(sent, None if last else stop)
-        if update.size >= (MIN_LIVE_CELLS if self._config.causal and not last else 1):
-            update, payload, decoded = self._affordable(update, sent, sum(len(packet.payload) for packet in poses))
-            sent.model.apply(decoded)
-            sent.wanted.apply(update)
-            yield ModelHeader(object_id=number, frame=first).packet(payload)
-            yield from self._texture(sent, first)
-        yield from poses
+        return _Entry(sent, introduction, list(self._poses(sent, first, stop)))
 
-    def _affordable(self, update: ModelUpdate, sent: _Sent, reserved: int) -> tuple[ModelUpdate, bytes, ModelUpdate]:
-        """Encode as much of an update as the bucket has room for, what is surest first; the rest waits.
+    def _model(self, sent: _Sent, frame: int, until_frame: int | None, room: float, last: bool) -> Iterator[Packet]:
+        """Yield the model update of an object and the texture of its new cells."""
+        update = self._update(sent, until_frame)
+        if update.size < (MIN_LIVE_CELLS if self._config.causal and not last else 1):
+            return
+        update, payload, decoded = self._affordable(update, sent, room - MEMBER_BYTES)
+        if update.empty:
+            return
+        sent.model.apply(decoded)
+        sent.wanted.apply(update)
+        yield ModelHeader(object_id=sent.item.number, frame=frame).packet(payload)
+        yield from self._texture(sent, frame)
+
+    def _affordable(self, update: ModelUpdate, sent: _Sent, room: float) -> tuple[ModelUpdate, bytes, ModelUpdate]:
+        """Encode as much of an update as there is room for, what is surest first; the rest waits.
 
         Cells are taken by blocks, as single ones would cost more, in the order of how often the blocks were seen.
         """
         cells = sent.model.cells()
         payload, decoded = encode_update_with_result(update, *cells, self._color)
-        while (
-            self._bucket is not None
-            and len(payload) > max(self._bucket.room - reserved - BATCH_BYTES, 0)
-            and update.size
-        ):
-            share = (self._bucket.room - reserved - BATCH_BYTES) / len(payload)
-            update = surest_part(update, sent.item.evidence, 0.9 * share)
+        while len(payload) > room and not update.empty:
+            update = surest_part(update, sent.item.evidence, 0.9 * room / len(payload))
             payload, decoded = encode_update_with_result(update, *cells, self._color)
         return update, payload, decoded
 
@@ -382,6 +418,11 @@ def surface_bytes(scene: Scene, luma_step: float) -> int:
         surface = read_surface(item.evidence, scene.config.threads)
         total += len(encode_update_with_result(first_sights(surface, empty, None), *empty.cells(), settings)[0])
     return total
+
+
+def _packed_bytes(packets: Sequence[Packet]) -> int:
+    """Return how many bytes packets take in a BATCH."""
+    return len(pack_batch(BatchHeader(frame=0, count=1), packets).payload)
 
 
 def _runs(moving: Sequence[bool]) -> list[tuple[int, int]]:

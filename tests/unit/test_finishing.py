@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
-from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -31,7 +31,8 @@ from threedvc.config import (
 from threedvc.decoder import Decoder, rig_of
 from threedvc.encoder import Encoder
 from threedvc.finishing import finish
-from threedvc.packets import Packet, PacketType, unpack_batch
+from threedvc.formats.container import StreamWriter
+from threedvc.packets import Packet, PacketType, type_name, unpack_batch
 from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.rate_control import stream_bytes
 from threedvc.rendering import Renderer, RenderModel
@@ -213,17 +214,32 @@ def test_quality_raises_bytes_and_psnr() -> None:
     assert values == sorted(values)
 
 
-def test_a_live_stream_never_exceeds_its_rate() -> None:
-    sequence = scene("room", 30)
-    rate = 16e3
-    config = replace(FILE, causal=True, group_frames=2, bitrate_bps=rate)
-    free = [stream_bytes([packet]) for packet in encoded(sequence, replace(config, bitrate_bps=None))]
-    batches = [packet for packet in encoded(sequence, config) if packet.type == PacketType.BATCH]
-    sent = list(accumulate(28 + len(packet.payload) for packet in batches))
-    for batch, total in zip(batches, sent, strict=True):
-        seconds = (batch.header["f"] + batch.header["n"]) / sequence.info.fps
-        assert total <= rate / 8 * (seconds + config.live_buffer_s)
-    assert sum(free) > sent[-1]
+@pytest.mark.parametrize(
+    ("name", "segmentation", "rate", "group"),
+    [
+        ("room", WHOLE, 16e3, 2),
+        ("room", WHOLE, 8e3, 5),
+        ("objects", SegmentationConfig(mode=SegmentationMode.MASKS), 12e3, 3),
+    ],
+    ids=["room", "room at the lowest rate", "objects"],
+)
+def test_a_live_stream_never_exceeds_its_rate(
+    name: str, segmentation: SegmentationConfig, rate: float, group: int
+) -> None:
+    sequence = scene(name, 30)
+    config = replace(FILE, segmentation=segmentation, causal=True, group_frames=group, bitrate_bps=rate)
+    sink = io.BytesIO()
+    writer = StreamWriter(sink)
+    seconds = 0.0
+    for packet in Encoder(sequence.info, config).packets(sequence):
+        if packet.type == PacketType.BATCH:
+            seconds = (packet.header["f"] + packet.header["n"]) / sequence.info.fps
+            assert all(member.payload for member in unpack_batch(packet) if member.type == PacketType.MODEL)
+        writer.write(packet)
+        # Everything counts: the head of the file, STREAM, and at last INDEX and END.
+        assert writer.offset <= rate / 8 * (seconds + config.live_buffer_s), f"{type_name(packet.type)} at {seconds} s"
+    free = sum(len(packet.payload) for packet in encoded(sequence, replace(config, bitrate_bps=None)))
+    assert free > writer.offset, "the rate must have been a limit"
 
 
 def with_hole(sequence: ListSequence) -> ListSequence:
