@@ -37,9 +37,8 @@ def surface_cells(shape: Shape, voxel_size: float, reach: float) -> Cells:
 def model_of_cells(cells: Cells, voxel_size: float, colors: NDArray[np.int16] | None = None) -> DecodedModel:
     """Return a model with these cells, grey unless told otherwise."""
     model = DecodedModel(voxel_size)
-    none, no_colors = np.empty((0, 3), dtype=np.int32), np.empty((0, 3), dtype=np.int16)
     colors = np.full((len(cells), 3), 128, dtype=np.int16) if colors is None else colors
-    model.apply(ModelUpdate(added=cells, added_colors=colors, removed=none, recolored=none, recolored_colors=no_colors))
+    model.apply(ModelUpdate.adding(cells, colors))
     return model
 
 

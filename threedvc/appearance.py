@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
+from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL, apply_gain, quantised_gain
 from threedvc.coding.light import pack_light, unpack_light
 from threedvc.config import RenderConfig
@@ -30,7 +30,7 @@ from threedvc.kernels.appearance import (
     gather_neighbours,
     scatter_colors,
 )
-from threedvc.kernels.shading import LEAST_LIGHT, LIGHT_TERMS, find_normals
+from threedvc.kernels.shading import LEAST_LIGHT, LIGHT_TERMS, find_normals, light_bases
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.parallel import for_ranges
@@ -46,7 +46,6 @@ __all__ = [
     "Sampler",
     "aligned_pose",
     "aligned_shift",
-    "every_nth",
     "fit_colors",
     "fit_gain",
     "fit_light",
@@ -184,15 +183,7 @@ def _rounded(values: NDArray[np.floating]) -> NDArray[np.int16]:
 def _model_of(surface: Surface, voxel_size_m: float, texture_scale: int, guessed: bool) -> DecodedModel:
     """Return a decoded model with the cells of a surface, and texels coloured as their cells."""
     model = DecodedModel(voxel_size_m, texture_scale, guessed=guessed)
-    none = np.empty((0, 3), dtype=np.int32)
-    update = ModelUpdate(
-        added=surface.cells,
-        added_colors=surface.colors,
-        removed=none,
-        recolored=none,
-        recolored_colors=none.astype(np.int16),
-    )
-    model.apply(update)
+    model.apply(ModelUpdate.adding(surface.cells, surface.colors))
     if model.texture is not None:
         texels = model.bare_texels()
         model.texture.paint(texels, model.color.reshape(-1, 3)[model.index.locate(texels // texture_scale)])
@@ -282,7 +273,7 @@ class Sampler:
         camera = rig.color
         self._stride = max(1, int(np.ceil(np.sqrt(camera.width * camera.height / pixels))))
         offsets = sorted({(x % self._stride, y % self._stride) for x, y in PHASES})
-        self._grids = [(x, y, RayGrid(every_nth(camera, self._stride, x, y))) for x, y in offsets]
+        self._grids = [(x, y, RayGrid(camera.every(self._stride, x, y))) for x, y in offsets]
         self._renderer = Renderer(rig, RenderConfig(supersample=1, threads=threads))
 
     @property
@@ -322,19 +313,6 @@ class Sampler:
         )
 
 
-def every_nth(camera: Camera, n: int, x: int = 0, y: int = 0) -> Camera:
-    """Return the camera of every n-th pixel from (x, y) on."""
-    return Camera(
-        width=-(-(camera.width - x) // n),
-        height=-(-(camera.height - y) // n),
-        fx=camera.fx / n,
-        fy=camera.fy / n,
-        cx=(camera.cx - x) / n,
-        cy=(camera.cy - y) / n,
-        distortion=camera.distortion,
-    )
-
-
 @dataclass(kw_only=True, eq=False)
 class JoinedSamples:
     """Samples of many frames: ``gain * interpolated`` shall be `wanted`; both are scaled by their confidence."""
@@ -347,8 +325,9 @@ class JoinedSamples:
 
 def light_terms(normals: Floats) -> Doubles:
     """Return the terms (n, 8) of `threedvc.kernels.shading.light_basis` for normals (n, 3)."""
-    x, y, z = normals.astype(np.float64).T
-    return np.stack([x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=1)
+    terms = np.empty((len(normals), LIGHT_TERMS))
+    light_bases(normals.astype(np.float64), terms)
+    return terms
 
 
 def fit_light(colors: ColorField, number: int, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]]) -> None:

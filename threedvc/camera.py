@@ -76,6 +76,18 @@ class Camera:
             cy=(self.cy + 0.5) * sy - 0.5,
         )
 
+    def every(self, n: int, x: int = 0, y: int = 0) -> Camera:
+        """Return the camera of every n-th pixel along both axes, from pixel (x, y) on."""
+        return replace(
+            self,
+            width=-(-(self.width - x) // n),
+            height=-(-(self.height - y) // n),
+            fx=self.fx / n,
+            fy=self.fy / n,
+            cx=(self.cx - x) / n,
+            cy=(self.cy - y) / n,
+        )
+
     def parameters(self) -> NDArray[np.float64]:
         """Return ``fx, fy, cx, cy, k1, k2, p1, p2, k3`` as one (9,) array for the kernels."""
         return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion], dtype=np.float64)

@@ -36,6 +36,7 @@ from threedvc.packets import (
     Packet,
     PacketType,
     PoseHeader,
+    RunHeader,
     ShiftHeader,
     StreamHeader,
     TextureHeader,
@@ -149,7 +150,7 @@ def _camera(values: tuple[float, ...]) -> Camera:
 
 
 def _check_pose_count(members: Iterable[Packet]) -> None:
-    headers: dict[int, type[PoseHeader | ShiftHeader | GainHeader]] = {
+    headers: dict[int, type[RunHeader]] = {
         PacketType.POSE: PoseHeader,
         PacketType.SHIFT: ShiftHeader,
         PacketType.GAIN: GainHeader,
@@ -182,19 +183,16 @@ class Decoder:
         self._entropy_bits: list[float] = []
         self._status: list[str] = []
         self._coders: dict[int, PoseCoder] = {}
-        self._next_coded: dict[int, int] = {}
+        self._due: dict[str, int] = {}
         self._scripts: dict[int, Pose] = {}
         self._shift = identity()
         self._shifts: PoseCoder | None = None
-        self._next_shift = 0
         self._lights: dict[int, NDArray[np.float64]] = {}
         self._backdrop: Backdrop | None = None
         self._hung = False
         self._gain = NEUTRAL
         self._gains: GainCoder | None = None
-        self._next_gain = 0
         self._correction = 0
-        self._next_corrected = 0
 
     @property
     def report(self) -> StreamReport:
@@ -321,38 +319,40 @@ class Decoder:
             raise CorruptStream(f"a TEXTURE of object {number} comes when all its cells have one")
         model.texture.paint(texels, decode_texture(payload, model, texels))
 
+    def _run(self, name: str, header: RunHeader) -> bool:
+        """Note that frames of a kind were conveyed; tell whether they follow the last ones directly."""
+        due = self._due.get(name, 0)
+        if header.frame < due:
+            raise CorruptStream(f"a {name} from frame {header.frame} on follows one up to frame {due - 1}")
+        self._due[name] = header.frame + header.count
+        return header.frame == due
+
     def _expose(self, header: GainHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
-        if self._gains is None or header.frame < self._next_gain:
-            raise CorruptStream(f"a GAIN from frame {header.frame} on follows one up to frame {self._next_gain - 1}")
-        self._next_gain = header.frame + header.count
+        assert self._gains is not None
+        self._run("GAIN", header)
         for step, gain in enumerate(self._gains.decode(payload, header.count)):
             yield header.frame + step, lambda gain=gain: self._set_gain(gain)  # type: ignore[misc]
 
     def _shifted(self, header: ShiftHeader, payload: bytes) -> list[Pose]:
-        if self._shifts is None or header.frame < self._next_shift:
-            raise CorruptStream(f"a SHIFT from frame {header.frame} on follows one up to frame {self._next_shift - 1}")
-        if header.frame != self._next_shift:
-            self._shifts.hold()
-        self._next_shift = header.frame + header.count
-        return list(self._shifts.decode(payload, header.count))
+        assert self._shifts is not None
+        return self._decoded_poses(self._shifts, "SHIFT", header, payload)
+
+    def _poses(self, header: PoseHeader, payload: bytes) -> list[Pose]:
+        self._known(header.object_id)
+        name = f"POSE of object {header.object_id}"
+        return self._decoded_poses(self._coders[header.object_id], name, header, payload)
+
+    def _decoded_poses(self, coder: PoseCoder, name: str, header: RunHeader, payload: bytes) -> list[Pose]:
+        """Decode the poses of a run of frames; between runs what they place stands still."""
+        if not self._run(name, header):
+            coder.hold()
+        return list(coder.decode(payload, header.count))
 
     def _set_shift(self, pose: Pose) -> None:
         self._shift = pose
 
     def _set_gain(self, gain: NDArray[np.int64]) -> None:
         self._gain = gain
-
-    def _poses(self, header: PoseHeader, payload: bytes) -> list[Pose]:
-        self._known(header.object_id)
-        coder, due = self._coders[header.object_id], self._next_coded.get(header.object_id, 0)
-        if header.frame < due:
-            raise CorruptStream(
-                f"a POSE of object {header.object_id} from frame {header.frame} on follows one up to frame {due - 1}"
-            )
-        if header.frame != due:
-            coder.hold()
-        self._next_coded[header.object_id] = header.frame + header.count
-        return list(coder.decode(payload, header.count))
 
     def _move(self, number: int, pose: Pose) -> None:
         self._scripts[number] = pose
@@ -363,13 +363,9 @@ class Decoder:
         return self.models[number]
 
     def _clock(self, header: ClockHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
-        if header.frame < self._next_corrected:
-            raise CorruptStream(
-                f"a CLOCK from frame {header.frame} on follows one up to frame {self._next_corrected - 1}"
-            )
-        self._next_corrected = header.frame + header.count
+        self._run("CLOCK", header)
         reader = ByteReader(payload)
-        for frame in range(header.frame, self._next_corrected):
+        for frame in range(header.frame, header.frame + header.count):
             correction = reader.signed_varint()
             yield frame, lambda correction=correction: self._correct(correction)  # type: ignore[misc]
         if reader.remaining:

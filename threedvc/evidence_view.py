@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TypeVar
 
 import cv2
@@ -44,11 +43,7 @@ class Thinned:
         self.stride = stride or 1
         while stride is None and full.width * full.height > TRACKING_PIXELS * self.stride**2:
             self.stride += 1
-        n = self.stride
-        self.camera: Camera = replace(
-            full, width=-(-full.width // n), height=-(-full.height // n), fx=full.fx / n, fy=full.fy / n,
-            cx=full.cx / n, cy=full.cy / n,
-        )  # fmt: skip
+        self.camera: Camera = full.every(self.stride)
         self.grid = RayGrid(self.camera)
         self._slopes = full.rays()
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.appearance import every_nth
 from threedvc.camera import CameraRig
 from threedvc.coding.morton import morton_order
 from threedvc.config import RenderConfig
@@ -76,7 +75,7 @@ def guess_surfaces(
     stride = max(1, round(np.sqrt(rig.color.width * rig.color.height / RAYS)))
     size = max(WIDTH * models[0].model.voxel_size_m, RAYS_PER_CELL * stride * distance_m / rig.color.fx)
     guessed = RenderModel(DecodedModel(size, guessed=True))
-    rays, renderer = RayGrid(every_nth(rig.color, stride)), Renderer(rig, RenderConfig(supersample=1, threads=threads))
+    rays, renderer = RayGrid(rig.color.every(stride)), Renderer(rig, RenderConfig(supersample=1, threads=threads))
     seen: list[NDArray[np.int32]] = [np.empty(0, dtype=np.int32)]
     number = max(models) + 1
     for frame, poses, T_shifted_camera in views:
@@ -100,7 +99,7 @@ def guess_surfaces(
         cells = cells[fresh]
         if len(cells):
             cells = cells[morton_order(cells)]
-            guessed.model.apply(_added(cells))
+            guessed.model.apply(ModelUpdate.adding(cells, np.full((len(cells), 3), 128, dtype=np.int16)))
             guessed.refresh(threads)
             seen.append(np.full(len(cells), frame, dtype=np.int32))
     return _guess(guessed.model, seen)
@@ -113,17 +112,6 @@ def _filled(depth: NDArray[np.float32]) -> NDArray[np.float64]:
     value = np.repeat(inverse_depth[..., None].astype(np.float32), 3, axis=2)
     fill_unknown(value, known)
     return 1 / np.maximum(value[..., 0].astype(np.float64), 1e-3)
-
-
-def _added(cells: NDArray[np.int32]) -> ModelUpdate:
-    none = np.empty((0, 3), dtype=np.int32)
-    return ModelUpdate(
-        added=cells,
-        added_colors=np.full((len(cells), 3), 128, dtype=np.int16),
-        removed=none,
-        recolored=none,
-        recolored_colors=none.astype(np.int16),
-    )
 
 
 def _guess(model: DecodedModel, seen: list[NDArray[np.int32]]) -> Guess:

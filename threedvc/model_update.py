@@ -31,6 +31,14 @@ class ModelUpdate:
     recolored: NDArray[np.int32]
     recolored_colors: NDArray[np.int16]
 
+    @classmethod
+    def adding(cls, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> ModelUpdate:
+        """Return an update that does nothing but add cells (n, 3) with their colours (n, 3)."""
+        none = np.empty((0, 3), dtype=np.int32)
+        return cls(
+            added=cells, added_colors=colors, removed=none, recolored=none, recolored_colors=none.astype(np.int16)
+        )
+
     @property
     def size(self) -> int:
         """Number of cells that change."""

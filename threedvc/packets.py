@@ -45,6 +45,7 @@ __all__ = [
     "PacketFlag",
     "PacketType",
     "PoseHeader",
+    "RunHeader",
     "ShiftHeader",
     "SnapshotHeader",
     "StreamHeader",
@@ -292,6 +293,14 @@ class ObjectHeader(Header):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RunHeader(Header):
+    """Base of the headers that speak of `count` consecutive frames from `frame` on."""
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+    count: int = key("n", integer(1, MAX_COUNT), default=1)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ModelHeader(Header):
     """A model update, applied before `frame` is drawn."""
 
@@ -312,26 +321,20 @@ class TextureHeader(Header):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainHeader(Header):
+class GainHeader(RunHeader):
     """Gains of the colour camera in `count` consecutive frames from `frame` on; the last one stays otherwise."""
 
     packet_type: ClassVar[PacketType] = PacketType.GAIN
 
-    frame: int = key("f", integer(0, MAX_FRAME))
-    count: int = key("n", integer(1, MAX_COUNT), default=1)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ShiftHeader(Header):
+class ShiftHeader(RunHeader):
     """Where the depth camera of `count` frames from `frame` on stood when the colour picture was taken.
 
     Colour and depth are seldom taken at the same instant, nor a whole picture at one; the last shift stays otherwise.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.SHIFT
-
-    frame: int = key("f", integer(0, MAX_FRAME))
-    count: int = key("n", integer(1, MAX_COUNT), default=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -354,7 +357,7 @@ class LightHeader(Header):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseHeader(Header):
+class PoseHeader(RunHeader):
     """Poses of `count` consecutive frames from `frame` on; an object keeps its last pose otherwise.
 
     Object 0 carries T_camera_world, every other object T_world_object.
@@ -363,18 +366,13 @@ class PoseHeader(Header):
     packet_type: ClassVar[PacketType] = PacketType.POSE
 
     object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
-    frame: int = key("f", integer(0, MAX_FRAME))
-    count: int = key("n", integer(1, MAX_COUNT), default=1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClockHeader(Header):
+class ClockHeader(RunHeader):
     """Corrections in nanoseconds of the regular clock, for `count` frames from `frame` on."""
 
     packet_type: ClassVar[PacketType] = PacketType.CLOCK
-
-    frame: int = key("f", integer(0, MAX_FRAME))
-    count: int = key("n", integer(1, MAX_COUNT), default=1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,11 +33,7 @@ def textured(scale: int, cells: NDArray[np.int32]) -> DecodedModel:
     plain = model_of_cells(cells, CELL)
     model = DecodedModel(CELL, scale)
     ordered, colors = plain.cells()
-    model.apply(
-        ModelUpdate(
-            added=ordered, added_colors=colors, removed=NONE, recolored=NONE, recolored_colors=NONE.astype(np.int16)
-        )
-    )
+    model.apply(ModelUpdate.adding(ordered, colors))
     return model
 
 
@@ -82,10 +78,7 @@ def test_a_second_part_is_predicted_from_the_first() -> None:
     assert model.texture is not None
     for part in (None, cells[~left]):
         if part is not None:
-            update = ModelUpdate(
-                added=part, added_colors=np.full((len(part), 3), 128, np.int16), removed=NONE, recolored=NONE,
-                recolored_colors=NONE.astype(np.int16),
-            )  # fmt: skip
+            update = ModelUpdate.adding(part, np.full((len(part), 3), 128, np.int16))
             model.apply(update)
         texels = model.bare_texels()
         owners = np.unique(texels // 2, axis=0)

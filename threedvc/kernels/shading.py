@@ -13,6 +13,7 @@ __all__ = [
     "LIGHT_TERMS",
     "find_normals",
     "interpolation",
+    "light_bases",
     "light_basis",
     "relight",
     "shade",
@@ -195,6 +196,13 @@ def light_basis(x, y, z, terms):
     terms[0], terms[1], terms[2] = x, y, z
     terms[3], terms[4], terms[5] = x * y, y * z, z * x
     terms[6], terms[7] = x * x - y * y, 3.0 * z * z - 1.0
+
+
+@kernel
+def light_bases(normals, terms):
+    """Write the terms (n, 8) of `light_basis` for normals (n, 3)."""
+    for i in range(normals.shape[0]):
+        light_basis(normals[i, 0], normals[i, 1], normals[i, 2], terms[i])
 
 
 @kernel
