@@ -134,9 +134,9 @@ class Emitter:
         self._gains = GainCoder(scene.info.grey)
         self._guessed: dict[int, SceneObject] = {}
         if finished is not None and finished.guess is not None:
-            number, guess = finished.guess
-            self._guessed[number] = SceneObject(number, guess.voxel_size_m, None)
-            self._guessed[number].born = int(guess.surface.first_seen.min())
+            number, voxel_size_m = finished.guess
+            self._guessed[number] = SceneObject(number, voxel_size_m, None)
+            self._guessed[number].born = int(finished.surfaces[number].first_seen.min())
         self._steps = pose_steps(scene, config.pose)
         self._shifts = PoseCoder(*self._steps)
         self._sent: dict[int, _Sent] = {}
@@ -288,16 +288,12 @@ class Emitter:
         return first_sights(sent.final, sent.model, until_frame)
 
     def _surface(self, item: SceneObject) -> Surface:
-        if item.number in self._guessed:
-            assert self._finished is not None
-            assert self._finished.guess is not None
-            return replace(self._finished.guess[1].surface, colors=self._finished.colors.cell_colors(item.number)[1])
-        surface = read_surface(item.evidence, self._config.threads)
         if self._finished is None:
-            return surface
+            return read_surface(item.evidence, self._config.threads)
+        surface = self._finished.surfaces[item.number]
         if item.number == 0 and self._backdrop is not None:
             return replace(surface, colors=np.zeros_like(surface.colors))
-        return replace(surface, colors=self._finished.colors.cell_colors(item.number)[1])
+        return surface
 
     def _worthwhile_backdrop(self, luma_step: float) -> bytes | None:
         """Return the coded picture of the background if there is one, and it is worth its bytes.
@@ -318,9 +314,10 @@ class Emitter:
         assert self._finished is not None
         assert self._finished.backdrop is not None
         threads, item = self._config.threads, self._scene.objects[0]
-        surface = replace(read_surface(item.evidence, threads), colors=self._finished.colors.cell_colors(0)[1])
-        size, flat_size = (self._size_of(each)[0] for each in (surface, replace(surface, colors=0 * surface.colors)))
-        model = RenderModel(self._size_of(surface)[1])
+        surface = self._finished.surfaces[0]
+        size, decoded = self._size_of(surface)
+        flat_size, _ = self._size_of(replace(surface, colors=np.zeros_like(surface.colors)))
+        model = RenderModel(decoded)
         model.refresh(threads)
         renderer = Renderer(self._info.rig, RenderConfig(supersample=1, threads=threads))
         drawn = renderer.draw({0: model}, {0: item.poses[0]}).color

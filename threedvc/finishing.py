@@ -31,7 +31,7 @@ from threedvc.frame import Frame, FrameSequence
 from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.motion import Located
 from threedvc.pose import Pose, identity, inverse
-from threedvc.readout import read_surface
+from threedvc.readout import Surface, read_surface
 from threedvc.scene import Scene, SceneObject
 
 __all__ = ["Finish", "Script", "align", "finish"]
@@ -45,6 +45,8 @@ COLOR_FITS = 3
 LIGHT_FITS = 8
 TURNS_RAD = 0.2
 WORTHWHILE_GAIN = 0.01
+WORTHWHILE_ALIGNMENT = 0.02
+"""Share of the squared error that other poses must save: exact ones are not to be moved by the noise of the fit."""
 WORTHWHILE_SHIFT = 0.06
 """Share of the squared error that shifts must save: about a quarter of a decibel for some four bytes a frame."""
 BACKDROP_FRAMES = 80
@@ -59,8 +61,10 @@ class Finish:
 
     Attributes
     ----------
+    surfaces
+        Surface of every object with the fitted colours, by number, and that of the guess.
     colors
-        Colours of the finished surfaces, and the light on objects.
+        Colours of the texels, and the light on objects.
     gains
         (frames, 3, 2) units of the colour camera's gains, see `threedvc.coding.gains`.
     shifts
@@ -68,33 +72,36 @@ class Finish:
     backdrop
         The picture of a background at rest before a camera at rest, or None.
     guess
-        Cells where depth is missing, and the number of their object; None where little is missing.
+        Number of the object of guessed cells, and their edge in metres; None where little depth is missing.
     pixels_per_cell
         How many pixels of a frame show a coloured cell, on an average over all frames; without those of a
         background that has a backdrop, unless there is nothing else.
     """
 
+    surfaces: dict[int, Surface]
     colors: ColorField
     gains: NDArray[np.int64]
     shifts: list[Pose]
     backdrop: PictureChoice | None
-    guess: tuple[int, Guess] | None
+    guess: tuple[int, float] | None
     pixels_per_cell: float
 
 
 def align(scene: Scene, frames: FrameSequence, rounds: int) -> tuple[Script, list[Pose]]:
     """Return where every object is in every frame, and the shifts of the colour pictures.
 
-    Poses are aligned `rounds` times, each time against colours fitted at the poses before. There are no shifts
-    (all are the identity) unless the pictures fit markedly better with them.
+    Poses are aligned `rounds` times, each time against colours fitted at the poses before. They stay as they are,
+    and there are no shifts (all are the identity), unless the pictures fit better otherwise.
     """
     fit = _Fit(scene, frames, [identity()] * len(frames))
     fit.take_samples()
     fit.fit_colors()
+    script, error = fit.copied_script(), fit.log_error()
     for _ in range(rounds):
         fit.take_samples(aligned=True)
         fit.fit_colors()
-    script, error = {number: list(found) for number, found in fit.script.items()}, fit.log_error()
+    if fit.log_error() < error + np.log(1 - WORTHWHILE_ALIGNMENT):
+        script, error = fit.copied_script(), fit.log_error()
     if not scene.may_move(0):
         return script, fit.shifts
     fit.may_shift = True
@@ -115,11 +122,12 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
     gains = fit.steady_gains()
     backdrop = fit.backdrop(gains)
     return Finish(
+        surfaces=fit.surfaces(),
         colors=fit.colors,
         gains=gains,
         shifts=fit.shifts,
         backdrop=backdrop,
-        guess=fit.guess,
+        guess=(fit.guess[0], fit.guess[1].voxel_size_m) if fit.guess is not None else None,
         pixels_per_cell=fit.pixels_per_cell(backdrop is not None),
     )
 
@@ -187,23 +195,39 @@ class _Fit:
                 for index, sample in self._kept:
                     self._gains[index] = fit_gain(sample, sample.shown(self.colors), self._grey)
 
+    def copied_script(self) -> Script:
+        """Return where every object is, apart from what alignment does next."""
+        return {number: list(found) for number, found in self.script.items()}
+
     def log_error(self) -> float:
         """Return the logarithm of the squared error of the samples, on an average over the frames."""
         errors = [_error(sample, sample.shown(self.colors), gain) for sample, gain in self._samples()]
         return float(np.mean(np.log(np.array(errors) + 1))) if errors else 0.0
 
+    def surfaces(self) -> dict[int, Surface]:
+        """Return the surfaces with the colours so far."""
+        surfaces = dict(self._surfaces)
+        if self.guess is not None:
+            surfaces[self.guess[0]] = self.guess[1].surface
+        return {
+            number: replace(surface, colors=self.colors.cell_colors(number)[1]) for number, surface in surfaces.items()
+        }
+
     def steady_gains(self) -> NDArray[np.int64]:
         """Return the gains of all frames; one that is hardly better than the one before is not worth its bits."""
         gains = np.repeat(NEUTRAL[None], len(self._frames), axis=0)
         last = NEUTRAL
-        for frame in self._seen_frames():
-            sample = self._sample(frame)
+        kept = dict(self._kept)
+        for index in range(len(self._frames)):
+            if not self._poses(index):
+                continue
+            sample = kept.get(index) or self._sample(self._scene.limited(self._frames[index]))
             shown = sample.shown(self.colors)
             found = fit_gain(sample, shown, self._grey)
             errors = [_error(sample, shown, units) for units in (last, found)]
             if errors[1] < (1 - WORTHWHILE_GAIN) * errors[0]:
                 last = found
-            gains[frame.index :] = last
+            gains[index:] = last
         return gains
 
     def backdrop(self, gains: NDArray[np.int64]) -> PictureChoice | None:
