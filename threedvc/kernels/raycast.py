@@ -3,8 +3,12 @@
 
 Coordinates are in cells, shifted by half a cell so that integers are cell centres. Around a point the
 surface is the zero of the weighted mean of the signed distances to the planes of the eight nearest
-cells, each turned towards the ray's origin; the weights are trilinear and count occupied cells only.
-A ray is stopped where that mean changes sign and enough of the eight cells are occupied.
+cells; the weights are trilinear and count occupied cells only. A ray is stopped where that mean changes
+sign and enough of the eight cells are occupied.
+
+Planes have no outside of their own. Where a ray comes near a surface they are turned against the ray, and
+from there on each is turned as those before it along the ray: so a ray that passes beside a rim stays
+outside, although the surface behind the rim turns its back on it.
 """
 
 from __future__ import annotations
@@ -19,8 +23,11 @@ __all__ = ["cast_rays", "surface_at", "tile_ranges"]
 OPACITY = 0.3
 FAR = 1e9
 GRAZE = 0.6
+RIM = 0.15
+FRONTAL = 0.3
 MAX_DISTANCE = 2.0
 PLANE_SCALE = 127.0
+LEAST_NORMAL = 1.0
 
 
 @kernel
@@ -71,7 +78,7 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
 
 
 @kernel
-def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity):
+def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity, outward):
     """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where too few cells count.
 
     Parameters
@@ -82,8 +89,11 @@ def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity):
         (729, 4) planes of the render block.
     dx, dy, dz
         Unit direction of the ray.
+    outward
+        (6,) float64: a direction that planes shall face; then, output, the mean of their normals so turned.
     """
     total, mean = 0.0, 0.0
+    mx, my, mz = 0.0, 0.0, 0.0
     for k in range(8):
         if not (corners >> k) & 1:
             continue
@@ -92,13 +102,21 @@ def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity):
         w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z)
         nx, ny, nz = np.float64(plane[cell, 0]), np.float64(plane[cell, 1]), np.float64(plane[cell, 2])
         s = nx * (x - ix) + ny * (y - iy) + nz * (z - iz) - plane[cell, 3]
-        facing = nx * dx + ny * dy + nz * dz
+        facing = nx * outward[0] + ny * outward[1] + nz * outward[2]
         if nx == 0.0 and ny == 0.0 and nz == 0.0:
             s = -PLANE_SCALE * (dx * (x - ix) + dy * (y - iy) + dz * (z - iz))
-        elif facing > 0.0:
+        elif facing < 0.0:
             s = -s
+            mx -= w * nx
+            my -= w * ny
+            mz -= w * nz
+        else:
+            mx += w * nx
+            my += w * ny
+            mz += w * nz
         total += w
         mean += w * s
+    outward[3], outward[4], outward[5] = mx, my, mz
     return mean / (total * PLANE_SCALE) if total > opacity else FAR
 
 
@@ -119,7 +137,7 @@ def away_from_zero(d):
 
 
 @kernel
-def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity):
+def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity, outward):
     """Find the sign change between `low` and `high` by two secant steps; FAR if too little is opaque there.
 
     (px, py, pz) is the ray's origin relative to the corner cell of the cube, (ux, uy, uz) its unit direction.
@@ -127,7 +145,7 @@ def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_
     hit, f = low, FAR
     for _ in range(2):
         hit = low + (high - low) * f_low / (f_low - f_high)
-        f = surface_at(corners, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity)
+        f = surface_at(corners, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity, outward)
         if f > 0.0:
             low, f_low = hit, min(f, MAX_DISTANCE)
         else:
@@ -136,9 +154,27 @@ def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_
 
 
 @kernel
+def is_stopped(distance, outward, ux, uy, uz):
+    """Tell whether a ray is stopped that leaves the neighbourhood of a surface without having crossed it.
+
+    It has slipped through a shell of one cell if it came near and the surface still faces it where it leaves; beside
+    a rim, behind which the surface turns away, it must have come much nearer.
+    """
+    x, y, z = outward[0], outward[1], outward[2]
+    frontal = -(x * ux + y * uy + z * uz) > FRONTAL * np.sqrt(x * x + y * y + z * z)
+    return distance < (GRAZE if frontal else RIM)
+
+
+@kernel
+def face_ray(outward, ux, uy, uz):
+    """Turn planes against a ray of direction (ux, uy, uz), as at the start of every neighbourhood."""
+    outward[0], outward[1], outward[2] = -ux, -uy, -uz
+
+
+@kernel
 def cast_in_block(
     px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, corners, plane, opacity, number,
-    grazed, hit,
+    grazed, hit, outward,
 ):  # fmt: skip
     """Walk the cells of one render block from `t` to `t_end`; return whether the ray is stopped.
 
@@ -153,9 +189,11 @@ def cast_in_block(
     grazed
         (4,) float64, kept from block to block: parameter, distance, render block and cube of the
         nearest approach to a surface that the ray has not crossed; distance FAR: none. A ray that leaves
-        the neighbourhood of a surface so is stopped there, else a shell of one cell would have streaks.
+        the neighbourhood of a surface may be stopped there, else a shell of one cell would have streaks.
     hit
         (3,) float64 output: parameter, render block and cube.
+    outward
+        (6,) float64, kept from block to block; see `surface_at`.
     """
     norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     ux, uy, uz = dx * norm, dy * norm, dz * norm
@@ -180,21 +218,27 @@ def cast_in_block(
                 y, face = (1.0, 0b11001100) if dy > 0.0 else (0.0, 0b00110011)
             else:
                 z, face = (1.0, 0b11110000) if dz > 0.0 else (0.0, 0b00001111)
-            after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, 0.0)
+            after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, 0.0, outward)
+            nx, ny, nz = outward[3], outward[4], outward[5]
             if after <= 0.0 and before == FAR:
-                before = surface_at(occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0)
+                before = surface_at(
+                    occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0, outward
+                )
             if after <= 0.0:
                 first = min(before, MAX_DISTANCE) if before > 0.0 else 0.0
                 start = t if before > 0.0 else t_out
                 at = refine_hit(
-                    occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, start, first, t_out, after, opacity
-                )
+                    occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, start, first, t_out, after, opacity,
+                    outward,
+                )  # fmt: skip
                 if at < FAR:
                     hit[0], hit[1], hit[2] = at, number, base
                     return True
             elif after < grazed[1]:
                 grazed[0], grazed[1], grazed[2], grazed[3] = t_out, after, number, base
             before, t = after, t_out
+            if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
+                outward[0], outward[1], outward[2] = nx, ny, nz
             if t_out == tx:
                 ix += step_x
                 tx = (ix - qx) * inverse_x
@@ -207,10 +251,11 @@ def cast_in_block(
             if t >= t_end or min(ix, iy, iz) < 0 or max(ix, iy, iz) > 7:
                 return False
         before = FAR
-        if grazed[1] < GRAZE:
+        if is_stopped(grazed[1], outward, ux, uy, uz):
             hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
             return True
         grazed[1] = FAR
+        face_ray(outward, ux, uy, uz)
         t = max(min(tx, ty, tz), t + (skip[ix + 8 * iy + 64 * iz] - 1) * leap) + 1e-9 * leap
         if t >= t_end:
             return False
@@ -236,7 +281,7 @@ def cast_rays(
     """
     root_origin, root, supers = tables
     T = T_cells_camera
-    grazed, hit = np.empty(4), np.empty(3)
+    grazed, hit, outward = np.empty(4), np.empty(3), np.empty(6)
     for n in range(start, stop):
         r = order[n]
         sx, sy = rays[r, 0], rays[r, 1]
@@ -253,6 +298,8 @@ def cast_rays(
         inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
         nudge = 1e-6 * min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
         grazed[1] = FAR
+        norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+        face_ray(outward, dx * norm, dy * norm, dz * norm)
         while t < t_far:
             at = t + nudge
             bx = np.int64(np.floor((ox + at * dx) / 8.0))
@@ -269,9 +316,9 @@ def cast_rays(
             if number >= 0:
                 stopped = cast_in_block(
                     ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, inverse_x, inverse_y, inverse_z, at, leave,
-                    skip[number], corners[number], plane[number], opacity, number, grazed, hit,
+                    skip[number], corners[number], plane[number], opacity, number, grazed, hit, outward,
                 )  # fmt: skip
-            elif grazed[1] < GRAZE:
+            elif is_stopped(grazed[1], outward, dx * norm, dy * norm, dz * norm):
                 hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
                 stopped = True
             if stopped:
