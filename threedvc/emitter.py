@@ -289,7 +289,7 @@ class Emitter:
 
     def _surface(self, item: SceneObject) -> Surface:
         if self._finished is None:
-            return read_surface(item.evidence, self._config.threads)
+            return read_surface(item.evidence, self._config.threads, smooth=True)
         surface = self._finished.surfaces[item.number]
         if item.number == 0 and self._backdrop is not None:
             return replace(surface, colors=np.zeros_like(surface.colors))
@@ -412,7 +412,7 @@ def surface_bytes(scene: Scene, luma_step: float) -> int:
     total = 0
     for item in scene.objects.values():
         empty = DecodedModel(item.evidence.voxel_size_m)
-        surface = read_surface(item.evidence, scene.config.threads)
+        surface = read_surface(item.evidence, scene.config.threads, smooth=True)
         total += len(encode_update_with_result(first_sights(surface, empty, None), *empty.cells(), settings)[0])
     return total
 

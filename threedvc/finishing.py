@@ -138,7 +138,9 @@ class _Fit:
     def __init__(self, scene: Scene, frames: FrameSequence, shifts: list[Pose]) -> None:
         self._scene, self._frames = scene, frames
         self._threads, self._grey = scene.config.threads, scene.info.grey
-        self._surfaces = {number: read_surface(item.evidence, self._threads) for number, item in scene.objects.items()}
+        self._surfaces = {
+            number: read_surface(item.evidence, self._threads, smooth=True) for number, item in scene.objects.items()
+        }
         self.guess: tuple[int, Guess] | None = None
         self.colors = self._field()
         self.script: Script = {number: list(item.found) for number, item in scene.objects.items()}

@@ -9,12 +9,13 @@ can never be seen.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.block_index import BLOCK_CELLS
-from threedvc.kernels.surface import count_neighbours, mark_surface
+from threedvc.kernels.surface import count_neighbours, mark_surface, smooth_distances
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel, EvidenceModel
 from threedvc.parallel import for_ranges
@@ -25,6 +26,9 @@ MIN_WEIGHT = 0.02
 CONFIDENT_LOG_ODDS = 2.0
 EMPTY_LOG_ODDS = -2.0
 MIN_NEIGHBOURS = 3
+SMOOTHING_PASSES = 3
+SMOOTHING_TRUST = 4.0
+"""Precision, in units of the sensor's at 1 m, with which neighbours tell a cell its distance."""
 RECOLOR_LEVELS = 16.0
 REGION_SHIFT = 4
 
@@ -52,14 +56,27 @@ class Surface:
         return Surface(cells=self.cells[chosen], colors=self.colors[chosen], first_seen=self.first_seen[chosen])
 
 
-def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0) -> Surface:
-    """Read the surface out of the evidence; specks of fewer than four touching cells are noise."""
+def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0, smooth: bool = False) -> Surface:
+    """Read the surface out of the evidence; specks of fewer than four touching cells are noise.
+
+    Parameters
+    ----------
+    model
+        Evidence of an object.
+    threads
+        Number of threads; the surface does not depend on it.
+    min_log_odds
+        How sure it must be that a surface is there.
+    smooth
+        Whether to straighten it, the more the less often it was measured: what is noise costs bits.
+    """
     index, count = model.index, model.index.count
+    distance = _smoothed(model, threads) if smooth else model.distance
     flags = np.zeros((count, BLOCK_CELLS), dtype=np.uint8)
 
     def mark(start: int, stop: int) -> None:
         mark_surface(
-            start, stop, index.coords, index.tables, model.voxel_size_m, model.distance, model.distance_weight,
+            start, stop, index.coords, index.tables, model.voxel_size_m, distance, model.distance_weight,
             model.log_odds, MIN_WEIGHT, min_log_odds, flags,
         )  # fmt: skip
 
@@ -69,6 +86,25 @@ def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.
     count_neighbours(cells, positions, index.tables, flags.reshape(-1), neighbours)
     cells, positions = cells[neighbours >= MIN_NEIGHBOURS], positions[neighbours >= MIN_NEIGHBOURS]
     return Surface(cells=cells, colors=_colors(model, positions), first_seen=model.first_seen.reshape(-1)[positions])
+
+
+def _smoothed(model: EvidenceModel, threads: int) -> NDArray[np.float32]:
+    """Return the mean signed distances (blocks, 512), straightened."""
+    distance = model.distance
+    for _ in range(SMOOTHING_PASSES):
+        smooth = partial(_smooth_range, model, distance, after := np.empty_like(distance))
+        for_ranges(smooth, model.index.count, threads)
+        distance = after
+    return distance
+
+
+def _smooth_range(
+    model: EvidenceModel, before: NDArray[np.float32], after: NDArray[np.float32], start: int, stop: int
+) -> None:
+    smooth_distances(
+        start, stop, model.index.coords, model.index.tables, model.voxel_size_m, before, model.distance_weight,
+        MIN_WEIGHT, SMOOTHING_TRUST, after,
+    )  # fmt: skip
 
 
 def in_regions(surface: Surface) -> Surface:

@@ -6,7 +6,48 @@ from __future__ import annotations
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
 
-__all__ = ["count_neighbours", "mark_surface"]
+__all__ = ["count_neighbours", "mark_surface", "smooth_distances"]
+
+REACH = 3.0
+MAX_JUMP = 4.0
+BEND = 0.5
+
+
+@kernel
+def smooth_distances(start, stop, coords, tables, voxel_size, distance, weight, min_weight, trust, smooth):
+    """Straighten the signed distances of blocks ``start..stop`` near the surface; write them to `smooth` (blocks, 512).
+
+    A cell is drawn to the mean of its opposite neighbours, which on a plane is its own distance: with the weight
+    `trust` against its own, and little where they tell of an edge rather than of noise.
+    """
+    root_origin, root, supers = tables
+    flat_distance, flat_weight = distance.reshape(-1), weight.reshape(-1)
+    for b in range(start, stop):
+        for i in range(512):
+            here = distance[b, i]
+            smooth[b, i] = here
+            if weight[b, i] < min_weight or abs(here) > REACH * voxel_size:
+                continue
+            x = coords[b, 0] * 8 + (i & 7)
+            y = coords[b, 1] * 8 + ((i >> 3) & 7)
+            z = coords[b, 2] * 8 + (i >> 6)
+            total, mean = 0.0, 0.0
+            for k in range(13):
+                dx, dy, dz = k % 3 - 1, k // 3 % 3 - 1, k // 9 - 1
+                one = find_cell(x + dx, y + dy, z + dz, root_origin, root, supers)
+                two = find_cell(x - dx, y - dy, z - dz, root_origin, root, supers)
+                if one < 0 or two < 0 or min(flat_weight[one], flat_weight[two]) < min_weight:
+                    continue
+                if abs(flat_distance[one] - flat_distance[two]) > MAX_JUMP * voxel_size:
+                    continue
+                between = 0.5 * (flat_distance[one] + flat_distance[two])
+                bend = (between - here) / (BEND * voxel_size)
+                w = min(flat_weight[one], flat_weight[two]) / (1.0 + bend * bend)
+                total += w
+                mean += w * between
+            if total > 0.0:
+                share = trust / (trust + weight[b, i])
+                smooth[b, i] = here + share * (mean / total - here)
 
 
 @kernel
