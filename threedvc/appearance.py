@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL, apply_gain, quantised_gain
 from threedvc.coding.light import pack_light, unpack_light
+from threedvc.coding.relief import encode_relief
 from threedvc.config import RenderConfig
 from threedvc.frame import Frame
 from threedvc.kernels.appearance import (
@@ -95,6 +96,8 @@ class ColorField:
         Number of threads.
     guessed
         Numbers of the objects whose shape is a guess.
+    relief_bits
+        How finely the others tell where the surface passes in a cell.
 
     Attributes
     ----------
@@ -113,12 +116,16 @@ class ColorField:
         texture_scale: Mapping[int, int],
         threads: int,
         guessed: frozenset[int] = frozenset(),
+        relief_bits: int = 0,
     ) -> None:
         self.models: dict[int, RenderModel] = {}
         self._numbers: dict[int, NDArray[np.int32]] = {}
         values, neighbours, first = [], [], 0
         for number, surface in surfaces.items():
-            model = _model_of(surface, voxel_size_m[number], texture_scale[number], number in guessed)
+            is_guess = number in guessed
+            model = _model_of(
+                surface, voxel_size_m[number], texture_scale[number], is_guess, 0 if is_guess else relief_bits
+            )
             self.models[number] = RenderModel(model)
             self.models[number].refresh(threads)
             numbers, cells, own = _numbered(model)
@@ -161,6 +168,10 @@ class ColorField:
         means = sums[here] / np.maximum(count[here], 1)[:, None]
         return cells, np.where(count[here][:, None] > 0, _rounded(means), colors)
 
+    def recolor(self, number: int, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> None:
+        """Set the colours (n, 3) of cells (n, 3) of an object without texels."""
+        self.values[self._numbers[number][self.models[number].model.index.locate(cells)]] = colors
+
     def texel_colors(self, number: int, texels: NDArray[np.int32], default: NDArray[np.int16]) -> NDArray[np.int16]:
         """Return the colours (n, 3) of texels (n, 3); `default` where the field has none."""
         model = self.models[number].model
@@ -180,10 +191,14 @@ def _rounded(values: NDArray[np.floating]) -> NDArray[np.int16]:
     return np.asarray(np.clip(np.rint(values), -256, 511), dtype=np.int16)
 
 
-def _model_of(surface: Surface, voxel_size_m: float, texture_scale: int, guessed: bool) -> DecodedModel:
-    """Return a decoded model with the cells of a surface, and texels coloured as their cells."""
-    model = DecodedModel(voxel_size_m, texture_scale, guessed=guessed)
+def _model_of(
+    surface: Surface, voxel_size_m: float, texture_scale: int, guessed: bool, relief_bits: int
+) -> DecodedModel:
+    """Return a decoded model with the cells and the relief of a surface, and texels coloured as their cells."""
+    model = DecodedModel(voxel_size_m, texture_scale, guessed=guessed, relief_bits=relief_bits)
     model.apply(ModelUpdate.adding(surface.cells, surface.colors))
+    if relief_bits and len(surface.cells):
+        encode_relief(model, surface.crossings_of(model.untold_cells()[0]))
     if model.texture is not None:
         texels = model.bare_texels()
         model.texture.paint(texels, model.color.reshape(-1, 3)[model.index.locate(texels // texture_scale)])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from threedvc.errors import ConfigError
+from threedvc.limits import MAX_RELIEF_BITS
 from threedvc.parallel import default_threads
 
 __all__ = [
@@ -137,16 +138,21 @@ class AppearanceConfig:
         How often poses are aligned with the fitted colours; 0 fits colours and gains alone.
     texture_scale
         Colours along an edge of a cell: 1, 2 or 4.
+    relief_bits
+        Binary logarithm of the places in a cell that the surface may pass: 0 to 3.
     """
 
     rounds: int = 3
     texture_scale: int = 1
+    relief_bits: int = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.rounds <= 20:
             raise ConfigError(f"rounds {self.rounds} of alignment must be within 0..20")
         if self.texture_scale not in (1, 2, 4):
             raise ConfigError(f"texture scale {self.texture_scale} must be 1, 2 or 4")
+        if not 0 <= self.relief_bits <= MAX_RELIEF_BITS:
+            raise ConfigError(f"relief bits {self.relief_bits} must be within 0..{MAX_RELIEF_BITS}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.light import unpack_light
 from threedvc.coding.picture import decode_picture
 from threedvc.coding.poses import PoseCoder
+from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
@@ -36,6 +37,7 @@ from threedvc.packets import (
     Packet,
     PacketType,
     PoseHeader,
+    ReliefHeader,
     RunHeader,
     ShiftHeader,
     StreamHeader,
@@ -56,6 +58,7 @@ IN_BATCHES = frozenset(
     {
         PacketType.OBJECT,
         PacketType.MODEL,
+        PacketType.RELIEF,
         PacketType.TEXTURE,
         PacketType.POSE,
         PacketType.SHIFT,
@@ -267,6 +270,9 @@ class Decoder:
             header = PoseHeader.from_map(packet.header)
             for step, pose in enumerate(self._poses(header, packet.payload)):
                 yield header.frame + step, lambda pose=pose: self._move(header.object_id, pose)  # type: ignore[misc]
+        elif packet.type == PacketType.RELIEF:
+            relief = ReliefHeader.from_map(packet.header)
+            yield relief.frame, lambda: self._mould(relief.object_id, packet.payload)
         elif packet.type == PacketType.TEXTURE:
             texture = TextureHeader.from_map(packet.header)
             yield texture.frame, lambda: self._paint(texture.object_id, packet.payload)
@@ -301,7 +307,7 @@ class Decoder:
             raise CorruptStream(f"object {header.object_id} is introduced twice")
         assert self.header is not None
         self.models[header.object_id] = DecodedModel(
-            header.voxel_size_m, 1 << header.texture_bits, guessed=header.guessed
+            header.voxel_size_m, 1 << header.texture_bits, guessed=header.guessed, relief_bits=header.relief_bits
         )
         self._coders[header.object_id] = PoseCoder(self.header.translation_step_m, self.header.rotation_step_rad)
         self._scripts[header.object_id] = identity()
@@ -309,6 +315,14 @@ class Decoder:
     def _update(self, number: int, payload: bytes) -> None:
         model = self._known(number)
         model.apply(decode_update(payload, *model.cells()))
+
+    def _mould(self, number: int, payload: bytes) -> None:
+        model = self._known(number)
+        if not model.relief_bits:
+            raise CorruptStream(f"a RELIEF names object {number}, which has none")
+        if not len(model.untold_cells()[0]):
+            raise CorruptStream(f"a RELIEF of object {number} comes when all its cells have one")
+        decode_relief(payload, model)
 
     def _paint(self, number: int, payload: bytes) -> None:
         model = self._known(number)

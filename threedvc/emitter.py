@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from threedvc.camera import Camera
-from threedvc.coding.color import ColorSettings
 from threedvc.coding.gains import GainCoder
 from threedvc.coding.light import pack_light
 from threedvc.coding.picture import can_code_pictures
 from threedvc.coding.poses import PoseCoder
+from threedvc.coding.relief import encode_relief
 from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
-from threedvc.config import EncoderConfig, PoseConfig, RenderConfig, with_step
+from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
 from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.finishing import Finish
 from threedvc.frame import NANOSECONDS, SequenceInfo
@@ -41,6 +41,7 @@ from threedvc.packets import (
     ObjectHeader,
     Packet,
     PoseHeader,
+    ReliefHeader,
     ShiftHeader,
     StreamHeader,
     TextureHeader,
@@ -52,9 +53,10 @@ from threedvc.readout import Surface, changes, first_sights, in_regions, read_su
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
+from threedvc.trials import color_settings, one_shot
 from threedvc.wire import pack_signed_varint
 
-__all__ = ["Emitter", "surface_bytes"]
+__all__ = ["Emitter"]
 
 MAX_STILL_GAP = 2
 MIN_LIVE_CELLS = 4
@@ -89,9 +91,11 @@ def pose_steps(scene: Scene, config: PoseConfig) -> PoseSteps:
 class _Sent:
     """What the decoder has of one object, and what it would have if colours were not quantised."""
 
-    def __init__(self, item: SceneObject, steps: PoseSteps, texture_scale: int, guessed: bool) -> None:
+    def __init__(
+        self, item: SceneObject, steps: PoseSteps, texture_scale: int, relief_bits: int, *, guessed: bool
+    ) -> None:
         self.item = item
-        self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale, guessed=guessed)
+        self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale, guessed=guessed, relief_bits=relief_bits)
         self.wanted = DecodedModel(item.evidence.voxel_size_m)
         self.coder = PoseCoder(*steps)
         self.given: Pose | None = None
@@ -140,9 +144,7 @@ class Emitter:
         self._steps = pose_steps(scene, config.pose)
         self._shifts = PoseCoder(*self._steps)
         self._sent: dict[int, _Sent] = {}
-        self._color = ColorSettings(
-            luma_step=config.color.luma_step, chroma_step=config.color.chroma_step, grey=scene.info.grey
-        )
+        self._color = color_settings(config.color, scene.info.grey)
         self._clock = _clock(scene.info)
         self._batched = 0
         self._groups = 0
@@ -238,14 +240,17 @@ class Emitter:
         if number not in self._sent:
             if item.born is None or item.born >= stop:
                 return None
-            scale = self._config.appearance.texture_scale if self._finished and not guessed else 1
-            self._sent[number] = _Sent(item, self._steps, scale, guessed)
+            plain = self._finished is None or guessed
+            scale = 1 if plain else self._config.appearance.texture_scale
+            relief_bits = 0 if plain else self._config.appearance.relief_bits
+            self._sent[number] = _Sent(item, self._steps, scale, relief_bits, guessed=guessed)
             introduction.append(
                 ObjectHeader(
                     object_id=number,
                     voxel_size_m=item.evidence.voxel_size_m,
                     texture_bits=scale.bit_length() - 1,
                     guessed=guessed,
+                    relief_bits=relief_bits,
                 ).packet()
             )
             if self._finished is not None and number in self._finished.colors.lights:
@@ -265,6 +270,7 @@ class Emitter:
         sent.model.apply(decoded)
         sent.wanted.apply(update)
         yield ModelHeader(object_id=sent.item.number, frame=frame).packet(payload)
+        yield from self._relief(sent, frame)
         yield from self._texture(sent, frame)
 
     def _affordable(self, update: ModelUpdate, sent: _Sent, room: float) -> tuple[ModelUpdate, bytes, ModelUpdate]:
@@ -325,10 +331,18 @@ class Emitter:
 
     def _size_of(self, surface: Surface) -> tuple[int, DecodedModel]:
         """Return the bytes of a surface sent at once, and the model with it."""
-        model = DecodedModel(self._scene.objects[0].evidence.voxel_size_m)
-        payload, decoded = encode_update_with_result(first_sights(surface, model, None), *model.cells(), self._color)
-        model.apply(decoded)
-        return len(payload), model
+        voxel_size_m, relief_bits = self._scene.objects[0].evidence.voxel_size_m, self._config.appearance.relief_bits
+        return one_shot(surface, voxel_size_m, relief_bits, self._color)
+
+    def _relief(self, sent: _Sent, frame: int) -> Iterator[Packet]:
+        """Yield where in the cells that were just sent the surface passes."""
+        if not sent.model.relief_bits:
+            return
+        assert sent.final is not None
+        crossings = sent.final.crossings_of(sent.model.untold_cells()[0])
+        if len(crossings):
+            payload = encode_relief(sent.model, crossings)
+            yield ReliefHeader(object_id=sent.item.number, frame=frame).packet(payload)
 
     def _texture(self, sent: _Sent, frame: int) -> Iterator[Packet]:
         """Yield the colours of the texels of cells that were just sent."""
@@ -403,18 +417,6 @@ class Emitter:
         off = [stamp - due for stamp, due in zip(self._scene.timestamps[first:stop], nominal, strict=True)]
         if any(off):
             yield ClockHeader(frame=first, count=stop - first).packet(b"".join(map(pack_signed_varint, off)))
-
-
-def surface_bytes(scene: Scene, luma_step: float) -> int:
-    """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step."""
-    steps = with_step(luma_step)
-    settings = ColorSettings(luma_step=steps.luma_step, chroma_step=steps.chroma_step, grey=scene.info.grey)
-    total = 0
-    for item in scene.objects.values():
-        empty = DecodedModel(item.evidence.voxel_size_m)
-        surface = read_surface(item.evidence, scene.config.threads, smooth=True)
-        total += len(encode_update_with_result(first_sights(surface, empty, None), *empty.cells(), settings)[0])
-    return total
 
 
 def _packed_bytes(packets: Sequence[Packet]) -> int:

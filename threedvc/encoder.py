@@ -17,16 +17,26 @@ import numpy as np
 
 from threedvc.config import EncoderConfig, with_step
 from threedvc.decoder import Decoder
-from threedvc.emitter import Emitter, surface_bytes
+from threedvc.emitter import Emitter
 from threedvc.errors import CorruptStream, SequenceError
-from threedvc.finishing import Finish, align, finish
+from threedvc.finishing import Finish, align, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
 from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
-from threedvc.rate_control import CLOSE, FINER, MIDDLE_STEP, cell_factor, closest_below, stream_bytes
+from threedvc.rate_control import (
+    CLOSE,
+    FINER,
+    MIDDLE_STEP,
+    best_cells,
+    cell_factor,
+    closest_below,
+    stream_bytes,
+    surface_room,
+)
 from threedvc.refinement import calibrated_rig, refined_script
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
+from threedvc.trials import surface_bytes
 
 __all__ = ["Encoder", "OnFrame", "verified"]
 
@@ -152,23 +162,49 @@ class Encoder:
                 self.scene = Scene(replace(self.info, rig=rig), self.config, known)
                 self._fuse_all(frames, on_frame)
             self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
-            # Better poses make smoother surfaces, which take fewer bits.
-            self._fit_cells(frames, on_frame)
+            self._try_cells(frames, on_frame)
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
                 script, shifts = align(self.scene, frames, self.config.appearance.rounds)
                 self._fuse_again(frames, on_frame, script)
         return finish(self.scene, frames, shifts)
 
-    def _fit_cells(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
-        """Take wider or narrower cells if the bit rate asks for them; those before a backdrop stay as they are."""
+    @property
+    def _cell_room(self) -> float | None:
+        """Bytes that surfaces may take if their cells are free to follow from it: not before a backdrop."""
         target = self._target_bytes
         if target is None or self.config.voxel_size_m is not None or self.scene.at_rest(0):
+            return None
+        return surface_room(len(self.reports), target)
+
+    def _fit_cells(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Take wider or narrower cells if the bit rate asks for them."""
+        room = self._cell_room
+        if room is not None:
+            factor = cell_factor(surface_bytes(self.scene, MIDDLE_STEP), room)
+            if factor != 1:
+                self._take_cells(frames, on_frame, factor)
+
+    def _try_cells(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Take those cells that draw the best pictures at the bit rate; among nearly equal ones the narrowest."""
+        room = self._cell_room
+        if room is None:
             return
-        size = surface_bytes(self.scene, MIDDLE_STEP)
-        factor = cell_factor(size, len(self.reports), target)
-        if factor != 1:
-            self.config = replace(self.config, cell_factor=float(np.clip(self.config.cell_factor * factor, 1 / 16, 16)))
-            self._fuse_again(frames, on_frame, {number: item.found for number, item in self.scene.objects.items()})
+
+        def tried(factor: float) -> float:
+            if factor != 1:
+                self._take_cells(frames, on_frame, factor)
+            scenes.append(self.scene)
+            return trial_error(self.scene, frames, room)
+
+        scenes: list[Scene] = []
+        chosen = best_cells(tried)
+        self.scene = scenes[chosen]
+        self.config = self.scene.config
+
+    def _take_cells(self, frames: FrameSequence, on_frame: OnFrame | None, factor: float) -> None:
+        """Fuse all frames again into cells wider by a factor."""
+        self.config = replace(self.config, cell_factor=float(np.clip(self.config.cell_factor * factor, 1 / 16, 16)))
+        self._fuse_again(frames, on_frame, {number: item.found for number, item in self.scene.objects.items()})
 
     def _fuse_again(
         self, frames: FrameSequence, on_frame: OnFrame | None, script: Mapping[int, Sequence[Located | None]]

@@ -27,18 +27,22 @@ from threedvc.appearance import (
 )
 from threedvc.backdrop import PictureChoice, background_picture
 from threedvc.coding.gains import NEUTRAL, apply_gain
+from threedvc.config import with_step
 from threedvc.frame import Frame, FrameSequence
 from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.motion import Located
 from threedvc.pose import Pose, identity, inverse
 from threedvc.readout import Surface, read_surface
 from threedvc.scene import Scene, SceneObject
+from threedvc.trials import color_settings, one_shot
 
-__all__ = ["Finish", "Script", "align", "finish"]
+__all__ = ["Finish", "Script", "align", "finish", "trial_error"]
 
 Script = dict[int, list[Located | None]]
 
 SAMPLES = 2_000_000
+TRIAL_SAMPLES = 500_000
+TRIAL_STEPS = (40.0, 24.0, 14.0, 8.0)
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
 SHIFT_ROUNDS = 2
 COLOR_FITS = 3
@@ -132,10 +136,25 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
     )
 
 
+def trial_error(scene: Scene, frames: FrameSequence, room_bytes: float) -> float:
+    """Return about how large the squared error of pictures would be if surfaces took a number of bytes.
+
+    Returns
+    -------
+    float
+        Its logarithm, on an average over the frames.
+    """
+    fit = _Fit(scene, frames, [identity()] * len(frames), TRIAL_SAMPLES)
+    fit.take_samples()
+    fit.fit_colors()
+    sizes, errors = zip(*map(fit.coded, TRIAL_STEPS), strict=True)
+    return float(np.interp(np.log(room_bytes), np.log(sizes), errors))
+
+
 class _Fit:
     """The state of a fit: colours, poses and gains, and samples of the frames at these poses."""
 
-    def __init__(self, scene: Scene, frames: FrameSequence, shifts: list[Pose]) -> None:
+    def __init__(self, scene: Scene, frames: FrameSequence, shifts: list[Pose], most_samples: int = SAMPLES) -> None:
         self._scene, self._frames = scene, frames
         self._threads, self._grey = scene.config.threads, scene.info.grey
         self._surfaces = {
@@ -146,8 +165,8 @@ class _Fit:
         self.script: Script = {number: list(item.found) for number, item in scene.objects.items()}
         self.shifts = shifts
         self.may_shift = False
-        pixels = int(np.clip(SAMPLES // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
-        self._every = -(-len(frames) * pixels // SAMPLES)
+        pixels = int(np.clip(most_samples // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
+        self._every = -(-len(frames) * pixels // most_samples)
         self._sampler = Sampler(scene.info.rig, pixels, self._threads)
         self._gains = np.repeat(NEUTRAL[None], len(frames), axis=0)
         self._lit = [number for number, item in scene.objects.items() if _turns(scene, item)]
@@ -162,7 +181,7 @@ class _Fit:
             number, guess = self.guess
             surfaces[number], sizes[number], scales[number] = guess.surface, guess.voxel_size_m, 1
             guessed = frozenset([number])
-        return ColorField(surfaces, sizes, scales, self._threads, guessed)
+        return ColorField(surfaces, sizes, scales, self._threads, guessed, scene.config.appearance.relief_bits)
 
     def guess_holes(self) -> None:
         """Guess surfaces where the colour pictures of a moving camera show something and the model has nothing."""
@@ -205,6 +224,19 @@ class _Fit:
         """Return the logarithm of the squared error of the samples, on an average over the frames."""
         errors = [_error(sample, sample.shown(self.colors), gain) for sample, gain in self._samples()]
         return float(np.mean(np.log(np.array(errors) + 1))) if errors else 0.0
+
+    def coded(self, luma_step: float) -> tuple[int, float]:
+        """Return how many bytes the surfaces take with colours of a luma step, and `log_error` with these."""
+        settings = color_settings(with_step(luma_step), self._grey)
+        fitted, total = self.colors.values.copy(), 0
+        for number, surface in self.surfaces().items():
+            model = self.colors.models[number].model
+            size, decoded = one_shot(surface, model.voxel_size_m, model.relief_bits, settings)
+            self.colors.recolor(number, *decoded.cells())
+            total += size
+        error = self.log_error()
+        self.colors.values = fitted
+        return total, error
 
     def surfaces(self) -> dict[int, Surface]:
         """Return the surfaces with the colours so far."""

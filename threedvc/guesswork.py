@@ -119,6 +119,11 @@ def _guess(model: DecodedModel, seen: list[NDArray[np.int32]]) -> Guess:
     cells, colors = model.cells()
     first = int(np.concatenate(seen).min()) if len(cells) else 0
     return Guess(
-        surface=Surface(cells=cells, colors=colors, first_seen=np.full(len(cells), first, dtype=np.int32)),
+        surface=Surface(
+            cells=cells,
+            colors=colors,
+            first_seen=np.full(len(cells), first, dtype=np.int32),
+            crossings=np.zeros((len(cells), 3), dtype=np.float32),
+        ),
         voxel_size_m=model.voxel_size_m,
     )

@@ -21,6 +21,7 @@ __all__ = [
     "MAX_INDEX_ENTRIES",
     "MAX_OBJECT_ID",
     "MAX_PAYLOAD_BYTES",
+    "MAX_RELIEF_BITS",
     "MAX_TEXTURE_BITS",
 ]
 
@@ -53,6 +54,9 @@ MAX_FRAME: Final = (1 << 31) - 1
 
 MAX_COUNT: Final = 1 << 20
 """Frames that one packet speaks of, or that pass without a BATCH; poses in a BATCH."""
+
+MAX_RELIEF_BITS: Final = 3
+"""Binary logarithm of the places in a cell where a surface may pass."""
 
 MAX_TEXTURE_BITS: Final = 2
 """Binary logarithm of the number of texels along an edge of a cell."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from threedvc.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex
 from threedvc.errors import CorruptStream
+from threedvc.kernels.relief import UNTOLD
 from threedvc.kernels.render_blocks import fit_planes
 from threedvc.model_update import ModelUpdate
 from threedvc.parallel import for_ranges
@@ -50,19 +51,27 @@ class DecodedModel:
         Whether its shape is a guess, drawn in colour only and behind all others.
     planes
         (blocks, 512, 4) int8 planes of the occupied cells, as of the last call of `fit_planes`.
+    relief
+        (blocks, 512) uint8: where in the occupied cells the surface passes, see `threedvc.kernels.relief`.
+    relief_bits
+        Binary logarithm of the places in a cell that it may pass; 0: it passes through the centres.
     texture
         Colours of parts of cells, or None for an object without.
     version
-        Number of updates applied.
+        Number of changes so far.
     """
 
-    def __init__(self, voxel_size_m: float, texture_scale: int = 1, *, guessed: bool = False) -> None:
+    def __init__(
+        self, voxel_size_m: float, texture_scale: int = 1, *, guessed: bool = False, relief_bits: int = 0
+    ) -> None:
         self.voxel_size_m = voxel_size_m
+        self.relief_bits = relief_bits
         self.guessed = guessed
         self.texture = Texture(texture_scale) if texture_scale > 1 else None
         self.index = BlockIndex()
         self.occupied = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.color = np.zeros((0, BLOCK_CELLS, 3), dtype=np.int16)
+        self.relief = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.planes = np.zeros((0, BLOCK_CELLS, 4), dtype=np.int8)
         self.cell_count = 0
         self.version = 0
@@ -93,11 +102,22 @@ class DecodedModel:
         occupied[added] = 1
         color[added] = update.added_colors
         color[recolored] = update.recolored_colors
+        self.relief.reshape(-1)[removed] = UNTOLD
         self.cell_count += len(added) - len(removed)
-        self.version += 1
-        self._changed[np.concatenate([added, removed, recolored]) // BLOCK_CELLS] = self.version
+        self._note_change(np.concatenate([added, removed, recolored]))
         if self.texture is not None:
             self.texture.erase(np.concatenate([update.removed, update.recolored]))
+
+    def untold_cells(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Return the occupied cells (n, 3), in Morton order, without a relief yet, and where they are in the arrays."""
+        cells, positions = self.index.flagged(self.occupied[: self.index.count])
+        untold = self.relief.reshape(-1)[positions] == UNTOLD
+        return cells[untold], positions[untold]
+
+    def shape(self, positions: NDArray[np.int64], relief: NDArray[np.uint8]) -> None:
+        """Give cells at positions (n,) a relief (n,)."""
+        self.relief.reshape(-1)[positions] = relief
+        self._note_change(positions)
 
     def fit_planes(self, threads: int = 1) -> None:
         """Bring `planes` up to date."""
@@ -107,13 +127,15 @@ class DecodedModel:
         if len(self.occupied) > len(self.planes):
             more = np.zeros((len(self.occupied) - len(self.planes), BLOCK_CELLS, 4), dtype=np.int8)
             self.planes = np.concatenate([self.planes, more])
+        places = _relief_places(self.relief_bits)
         positions = self.index.locate(shifted_blocks(changed, (-1, 0, 1)) * BLOCK_SIDE)
         numbers = positions[positions >= 0] // BLOCK_CELLS
 
         def plane_range(start: int, stop: int) -> None:
             fit_planes(
-                numbers, start, stop, self.index.coords, self.index.tables, self.occupied, PLANE_WEIGHTS, self.planes
-            )
+                numbers, start, stop, self.index.coords, self.index.tables, self.occupied, self.relief, places,
+                PLANE_WEIGHTS, self.planes,
+            )  # fmt: skip
 
         for_ranges(plane_range, len(numbers), threads)
 
@@ -148,6 +170,9 @@ class DecodedModel:
         state.update(np.float64(self.voxel_size_m).tobytes())
         state.update(cells.astype("<i4").tobytes())
         state.update(colors.astype("<i2").tobytes())
+        if self.relief_bits:
+            _, positions = self.index.flagged(self.occupied[: self.index.count])
+            state.update(self.relief.reshape(-1)[positions].tobytes())
         if self.texture is not None:
             texels, texel_colors = self.texture.texels()
             state.update(texels.astype("<i4").tobytes())
@@ -160,12 +185,27 @@ class DecodedModel:
             raise CorruptStream("a model update does not fit the model; the stream is damaged or a packet is missing")
         return positions
 
+    def _note_change(self, positions: NDArray[np.int64]) -> None:
+        self.version += 1
+        self._changed[positions // BLOCK_CELLS] = self.version
+
     def _grow(self) -> None:
         if self.index.count > len(self.occupied):
             more = max(self.index.count, len(self.occupied) * 3 // 2) - len(self.occupied)
             self.occupied = np.concatenate([self.occupied, np.zeros((more, BLOCK_CELLS), dtype=np.uint8)])
             self.color = np.concatenate([self.color, np.zeros((more, BLOCK_CELLS, 3), dtype=np.int16)])
+            self.relief = np.concatenate([self.relief, np.zeros((more, BLOCK_CELLS), dtype=np.uint8)])
             self._changed = np.concatenate([self._changed, np.zeros(more, dtype=np.int64)])
+
+
+def _relief_places(bits: int) -> NDArray[np.float64]:
+    """Return for each relief the point (256, 3), from a cell's centre in cells, through which the surface passes."""
+    places = np.zeros((256, 3))
+    levels = 1 << bits
+    for axis in range(3 if bits else 0):
+        first = 1 + 8 * axis
+        places[first : first + levels, axis] = (2 * np.arange(levels) + 1 - levels) / (2 * levels)
+    return places
 
 
 class EvidenceModel:

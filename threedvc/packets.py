@@ -22,6 +22,7 @@ from threedvc.limits import (
     MAX_HEADER_BYTES,
     MAX_OBJECT_ID,
     MAX_PAYLOAD_BYTES,
+    MAX_RELIEF_BITS,
     MAX_TEXTURE_BITS,
 )
 from threedvc.wire import ByteReader, pack_map, pack_varint, unpack_map
@@ -45,6 +46,7 @@ __all__ = [
     "PacketFlag",
     "PacketType",
     "PoseHeader",
+    "ReliefHeader",
     "RunHeader",
     "ShiftHeader",
     "SnapshotHeader",
@@ -88,6 +90,7 @@ class PacketType(IntEnum):
     SHIFT = 15
     BACKDROP = 16
     LIGHT = 17
+    RELIEF = 18
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
@@ -282,6 +285,8 @@ class ObjectHeader(Header):
     guessed
         Whether the object's shape is a guess where nothing was measured: it is drawn in colour pictures only, and
         behind all others.
+    relief_bits
+        In how many places of a cell the surface may pass, as a power of two; 0: through its centre.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.OBJECT
@@ -290,6 +295,7 @@ class ObjectHeader(Header):
     voxel_size_m: float = key("h", number(1e-6, 1e3))
     texture_bits: int = key("t", integer(0, MAX_TEXTURE_BITS), default=0)
     guessed: bool = key("g", flag(), default=False)
+    relief_bits: int = key("r", integer(0, MAX_RELIEF_BITS), default=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,6 +311,16 @@ class ModelHeader(Header):
     """A model update, applied before `frame` is drawn."""
 
     packet_type: ClassVar[PacketType] = PacketType.MODEL
+
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReliefHeader(Header):
+    """Relief of all cells of an object that have none yet, after its update of the same frame."""
+
+    packet_type: ClassVar[PacketType] = PacketType.RELIEF
 
     object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
     frame: int = key("f", integer(0, MAX_FRAME))

@@ -16,7 +16,17 @@ import numpy as np
 from threedvc.packets import Packet
 from threedvc.wire import pack_map
 
-__all__ = ["CLOSE", "FINER", "MIDDLE_STEP", "LeakyBucket", "cell_factor", "closest_below", "stream_bytes"]
+__all__ = [
+    "CLOSE",
+    "FINER",
+    "MIDDLE_STEP",
+    "LeakyBucket",
+    "best_cells",
+    "cell_factor",
+    "closest_below",
+    "stream_bytes",
+    "surface_room",
+]
 
 MIDDLE_STEP = 16.0
 FRAME_BYTES = 9.0
@@ -26,6 +36,10 @@ WORTHWHILE = 1.08
 PACKET_BYTES, FILE_HEAD_BYTES, ENTRY_BYTES = 28, 11, 6
 LEAST_STEP, GREATEST_STEP = 0.5, 160.0
 TRIALS = 9
+NARROWER = 0.8
+MAX_NARROWINGS = 3
+NEARLY_EQUAL = 0.01
+"""Difference of logarithms of squared errors, about 0.04 dB."""
 CLOSE = 0.98
 FINER = 8.0
 
@@ -38,21 +52,49 @@ def stream_bytes(packets: Sequence[Packet]) -> int:
     return FILE_HEAD_BYTES + bodies + PACKET_BYTES + ENTRY_BYTES * len(packets)
 
 
-def cell_factor(surface_bytes: int, frames: int, target_bytes: float) -> float:
-    """Return by how much wider cells must be for a stream to take a number of bytes.
+def surface_room(frames: int, target_bytes: float) -> float:
+    """Return how many of the bytes of a file are left for surfaces: each frame takes poses."""
+    return max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, 0.1 * target_bytes)
+
+
+def cell_factor(surface_bytes: int, room_bytes: float) -> float:
+    """Return by how much wider cells must be for surfaces to take a number of bytes.
 
     Parameters
     ----------
     surface_bytes
         What the surfaces take with the present cells at `MIDDLE_STEP`; they go with the inverse square of the edge.
-    frames
-        Number of frames; each takes poses.
-    target_bytes
-        Wanted size of the file. If it has not even room for the poses, cells become as wide as they may.
+    room_bytes
+        What they may take.
     """
-    room = max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, 0.1 * target_bytes)
-    factor = float(np.clip(np.sqrt(surface_bytes / room), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
+    factor = float(np.clip(np.sqrt(surface_bytes / room_bytes), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
     return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
+
+
+def best_cells(error_of: Callable[[float], float]) -> int:
+    """Find the edge of cells with the least error, first by making them narrower, else once by making them wider.
+
+    Parameters
+    ----------
+    error_of
+        Makes the edge wider by a factor against the last one, and gives the logarithm of the squared error.
+
+    Returns
+    -------
+    int
+        Which of the calls made the edge to take. Narrower cells are taken although the error is a little larger:
+        they serve the depth.
+    """
+    errors = [error_of(1.0)]
+    while len(errors) <= MAX_NARROWINGS:
+        errors.append(error_of(NARROWER))
+        if errors[-1] > min(errors) + NEARLY_EQUAL:
+            break
+    narrowest = max(k for k, error in enumerate(errors) if error <= min(errors) + NEARLY_EQUAL)
+    if narrowest:
+        return narrowest
+    errors.append(error_of(NARROWER**-2))
+    return len(errors) - 1 if errors[-1] < errors[0] - NEARLY_EQUAL else 0
 
 
 def closest_below(

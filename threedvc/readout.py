@@ -14,8 +14,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.block_index import BLOCK_CELLS
-from threedvc.kernels.surface import count_neighbours, mark_surface, smooth_distances
+from threedvc.block_index import BLOCK_CELLS, morton_keys
+from threedvc.kernels.surface import count_neighbours, find_crossings, mark_surface, smooth_distances
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel, EvidenceModel
 from threedvc.parallel import for_ranges
@@ -45,15 +45,27 @@ class Surface:
         (n, 3) int16 RGB.
     first_seen
         (n,) int32 frame in which the cell was first measured.
+    crossings
+        (n, 3) float32 where the surface passes along each axis, from the cell's centre in cells.
     """
 
     cells: NDArray[np.int32]
     colors: NDArray[np.int16]
     first_seen: NDArray[np.int32]
+    crossings: NDArray[np.float32]
 
     def part(self, chosen: NDArray[np.bool_]) -> Surface:
         """Return the cells where `chosen` (n,) is true."""
-        return Surface(cells=self.cells[chosen], colors=self.colors[chosen], first_seen=self.first_seen[chosen])
+        return Surface(
+            cells=self.cells[chosen],
+            colors=self.colors[chosen],
+            first_seen=self.first_seen[chosen],
+            crossings=self.crossings[chosen],
+        )
+
+    def crossings_of(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return the crossings (n, 3) of some of its cells (n, 3)."""
+        return self.crossings[np.searchsorted(morton_keys(self.cells), morton_keys(cells))]
 
 
 def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0, smooth: bool = False) -> Surface:
@@ -85,7 +97,14 @@ def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.
     neighbours = np.zeros(len(cells), dtype=np.int32)
     count_neighbours(cells, positions, index.tables, flags.reshape(-1), neighbours)
     cells, positions = cells[neighbours >= MIN_NEIGHBOURS], positions[neighbours >= MIN_NEIGHBOURS]
-    return Surface(cells=cells, colors=_colors(model, positions), first_seen=model.first_seen.reshape(-1)[positions])
+    crossings = np.empty((len(cells), 3), dtype=np.float32)
+    find_crossings(cells, positions, index.tables, distance.reshape(-1), model.distance_weight.reshape(-1), crossings)
+    return Surface(
+        cells=cells,
+        colors=_colors(model, positions),
+        first_seen=model.first_seen.reshape(-1)[positions],
+        crossings=crossings,
+    )
 
 
 def _smoothed(model: EvidenceModel, threads: int) -> NDArray[np.float32]:

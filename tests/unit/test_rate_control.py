@@ -16,7 +16,16 @@ from threedvc.config import (
 )
 from threedvc.errors import ConfigError
 from threedvc.packets import Packet, PacketType
-from threedvc.rate_control import GREATEST_STEP, LEAST_STEP, LeakyBucket, cell_factor, closest_below, stream_bytes
+from threedvc.rate_control import (
+    GREATEST_STEP,
+    LEAST_STEP,
+    LeakyBucket,
+    best_cells,
+    cell_factor,
+    closest_below,
+    stream_bytes,
+    surface_room,
+)
 
 
 def made(step: float) -> tuple[int, float]:
@@ -37,11 +46,30 @@ def test_bounds_of_the_step_are_kept() -> None:
 
 
 def test_cells_follow_the_rate() -> None:
-    assert cell_factor(20_000, 0, 20_700) == 1.0
-    assert cell_factor(80_000, 0, 20_700) == pytest.approx(2.0, rel=0.01)
-    assert cell_factor(5_000, 0, 20_700) == pytest.approx(0.5, rel=0.01)
-    assert cell_factor(10**9, 300, 3_000) == 4.0
-    assert cell_factor(100, 0, 10**9) == 0.25
+    assert cell_factor(20_000, 20_000) == 1.0
+    assert cell_factor(80_000, 20_000) == pytest.approx(2.0, rel=0.01)
+    assert cell_factor(5_000, 20_000) == pytest.approx(0.5, rel=0.01)
+    assert cell_factor(10**9, surface_room(300, 3_000)) == 4.0
+    assert cell_factor(100, surface_room(0, 10**9)) == 0.25
+
+
+@pytest.mark.parametrize(
+    ("best", "edge"), [(1.0, 0.8), (0.64, 0.512), (0.1, 0.512), (1.6, 1.25)], ids=["as is", "narrow", "least", "wide"]
+)
+def test_cells_of_the_least_error_are_found(best: float, edge: float) -> None:
+    edges = [1.0]
+
+    def error(factor: float) -> float:
+        edges.append(edges[-1] * factor)
+        return 0.1 * np.log(edges[-1] / best) ** 2
+
+    chosen = best_cells(error)
+    assert edges[1 + chosen] == pytest.approx(edge)
+
+
+def test_narrower_cells_are_not_taken_for_a_larger_error() -> None:
+    errors = iter([1.0, 1.2, 1.1])
+    assert best_cells(lambda factor: next(errors)) == 0
 
 
 def test_a_bucket_never_gives_more_than_its_rate_and_buffer() -> None:

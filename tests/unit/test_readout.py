@@ -177,7 +177,12 @@ def update(added: NDArray[np.int32], colors: NDArray[np.int16] | None = None) ->
 def surface_of(cells: list[tuple[int, int, int]], seen: list[int]) -> Surface:
     array = np.array(cells, dtype=np.int32)
     colors = np.arange(3 * len(cells), dtype=np.int16).reshape(-1, 3)
-    return Surface(cells=array, colors=colors, first_seen=np.array(seen, dtype=np.int32))
+    return Surface(
+        cells=array,
+        colors=colors,
+        first_seen=np.array(seen, dtype=np.int32),
+        crossings=np.zeros((len(array), 3), dtype=np.float32),
+    )
 
 
 def test_cells_are_due_in_the_group_of_their_first_sight() -> None:
@@ -274,6 +279,9 @@ def test_live_updates_always_fit(rng: np.random.Generator) -> None:
 def test_cells_of_a_region_are_first_seen_together() -> None:
     cells = np.array([[0, 0, 0], [15, 15, 15], [16, 0, 0], [-1, 0, 0]], dtype=np.int32)
     surface = Surface(
-        cells=cells, colors=np.zeros((4, 3), np.int16), first_seen=np.array([7, 3, 9, EvidenceModel.NEVER], np.int32)
+        cells=cells,
+        colors=np.zeros((4, 3), np.int16),
+        first_seen=np.array([7, 3, 9, EvidenceModel.NEVER], np.int32),
+        crossings=np.zeros((4, 3), np.float32),
     )
     assert in_regions(surface).first_seen.tolist() == [3, 3, 9, EvidenceModel.NEVER]

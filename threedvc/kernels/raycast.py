@@ -4,7 +4,7 @@
 Coordinates are in cells, shifted by half a cell so that integers are cell centres. Around a point the
 surface is the zero of the weighted mean of the signed distances to the planes of the eight nearest
 cells; the weights are trilinear and count occupied cells only. A ray is stopped where that mean changes
-sign and enough of the eight cells are occupied.
+sign, if enough of the eight cells are occupied there or before the sign changes back.
 
 Planes have no outside of their own. Where a ray comes near a surface they are turned against the ray, and
 from there on each is turned as those before it along the ray: so a ray that passes beside a rim stays
@@ -26,6 +26,7 @@ GRAZE = 0.6
 RIM = 0.15
 FRONTAL = 0.3
 MAX_DISTANCE = 2.0
+NEAR_END = 0.95
 PLANE_SCALE = 127.0
 LEAST_NORMAL = 1.0
 
@@ -78,8 +79,8 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
 
 
 @kernel
-def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity, outward):
-    """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where too few cells count.
+def surface_at(corners, plane, base, x, y, z, dx, dy, dz, outward):
+    """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where no cell counts.
 
     Parameters
     ----------
@@ -90,7 +91,8 @@ def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity, outward):
     dx, dy, dz
         Unit direction of the ray.
     outward
-        (6,) float64: a direction that planes shall face; then, output, the mean of their normals so turned.
+        (7,) float64: a direction that planes shall face; then, output, the mean of their normals so turned, and
+        how much of the weight the corners that count have.
     """
     total, mean = 0.0, 0.0
     mx, my, mz = 0.0, 0.0, 0.0
@@ -116,8 +118,8 @@ def surface_at(corners, plane, base, x, y, z, dx, dy, dz, opacity, outward):
             mz += w * nz
         total += w
         mean += w * s
-    outward[3], outward[4], outward[5] = mx, my, mz
-    return mean / (total * PLANE_SCALE) if total > opacity else FAR
+    outward[3], outward[4], outward[5], outward[6] = mx, my, mz, total
+    return mean / (total * PLANE_SCALE) if total > 0.0 else FAR
 
 
 @kernel
@@ -137,20 +139,20 @@ def away_from_zero(d):
 
 
 @kernel
-def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, opacity, outward):
-    """Find the sign change between `low` and `high` by two secant steps; FAR if too little is opaque there.
+def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, outward):
+    """Find the sign change between `low` and `high` by two secant steps.
 
     (px, py, pz) is the ray's origin relative to the corner cell of the cube, (ux, uy, uz) its unit direction.
     """
-    hit, f = low, FAR
+    hit = low
     for _ in range(2):
         hit = low + (high - low) * f_low / (f_low - f_high)
-        f = surface_at(corners, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, opacity, outward)
+        f = surface_at(corners, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, outward)
         if f > 0.0:
             low, f_low = hit, min(f, MAX_DISTANCE)
         else:
             high, f_high = hit, f
-    return hit if f < FAR else FAR
+    return hit
 
 
 @kernel
@@ -187,13 +189,15 @@ def cast_in_block(
     corners
         (512,) uint8: a bit for each occupied corner of a cube, that of x lowest.
     grazed
-        (4,) float64, kept from block to block: parameter, distance, render block and cube of the
+        (5,) float64, kept from block to block: parameter, distance, render block and cube of the
         nearest approach to a surface that the ray has not crossed; distance FAR: none. A ray that leaves
         the neighbourhood of a surface may be stopped there, else a shell of one cell would have streaks.
+        Last the parameter at which it has crossed one where too little is opaque, or FAR: if enough is
+        further on, before the ray comes out again, it was stopped there.
     hit
         (3,) float64 output: parameter, render block and cube.
     outward
-        (6,) float64, kept from block to block; see `surface_at`.
+        (7,) float64, kept from block to block; see `surface_at`.
     """
     norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
     ux, uy, uz = dx * norm, dy * norm, dz * norm
@@ -218,25 +222,36 @@ def cast_in_block(
                 y, face = (1.0, 0b11001100) if dy > 0.0 else (0.0, 0b00110011)
             else:
                 z, face = (1.0, 0b11110000) if dz > 0.0 else (0.0, 0b00001111)
-            after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, 0.0, outward)
-            nx, ny, nz = outward[3], outward[4], outward[5]
-            if after <= 0.0 and before == FAR:
-                before = surface_at(
-                    occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, 0.0, outward
-                )
+            after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, outward)
+            nx, ny, nz, opaque = outward[3], outward[4], outward[5], outward[6]
+            t_last = t_out
+            if after == FAR:
+                t_last = t + NEAR_END * (t_out - t)
+                x, y, z = ax + t_last * dx, ay + t_last * dy, az + t_last * dz
+                after = surface_at(occupied, plane, base, x, y, z, ux, uy, uz, outward)
+                nx, ny, nz, opaque = outward[3], outward[4], outward[5], 0.0
             if after <= 0.0:
-                first = min(before, MAX_DISTANCE) if before > 0.0 else 0.0
-                start = t if before > 0.0 else t_out
-                at = refine_hit(
-                    occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, start, first, t_out, after, opacity,
-                    outward,
-                )  # fmt: skip
-                if at < FAR:
-                    hit[0], hit[1], hit[2] = at, number, base
+                if before == FAR:
+                    before = surface_at(
+                        occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, outward
+                    )
+                if before > 0.0:
+                    grazed[4] = refine_hit(
+                        occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, min(before, MAX_DISTANCE),
+                        t_last, after, outward,
+                    )  # fmt: skip
+                    opaque = outward[6]
+                elif grazed[4] == FAR:
+                    grazed[4] = t_last
+                if opaque > opacity:
+                    hit[0], hit[1], hit[2] = grazed[4], number, base
                     return True
-            elif after < grazed[1]:
-                grazed[0], grazed[1], grazed[2], grazed[3] = t_out, after, number, base
-            before, t = after, t_out
+                grazed[1] = FAR
+            else:
+                grazed[4] = FAR
+                if after < grazed[1]:
+                    grazed[0], grazed[1], grazed[2], grazed[3] = t_last, after, number, base
+            before, t = after if t_last == t_out else FAR, t_out
             if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
                 outward[0], outward[1], outward[2] = nx, ny, nz
             if t_out == tx:
@@ -254,7 +269,7 @@ def cast_in_block(
         if is_stopped(grazed[1], outward, ux, uy, uz):
             hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
             return True
-        grazed[1] = FAR
+        grazed[1] = grazed[4] = FAR
         face_ray(outward, ux, uy, uz)
         t = max(min(tx, ty, tz), t + (skip[ix + 8 * iy + 64 * iz] - 1) * leap) + 1e-9 * leap
         if t >= t_end:
@@ -281,7 +296,7 @@ def cast_rays(
     """
     root_origin, root, supers = tables
     T = T_cells_camera
-    grazed, hit, outward = np.empty(4), np.empty(3), np.empty(6)
+    grazed, hit, outward = np.empty(5), np.empty(3), np.empty(7)
     for n in range(start, stop):
         r = order[n]
         sx, sy = rays[r, 0], rays[r, 1]
@@ -297,7 +312,7 @@ def cast_rays(
         dx, dy, dz = away_from_zero(dx), away_from_zero(dy), away_from_zero(dz)
         inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
         nudge = 1e-6 * min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
-        grazed[1] = FAR
+        grazed[1] = grazed[4] = FAR
         norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         face_ray(outward, dx * norm, dy * norm, dz * norm)
         while t < t_far:

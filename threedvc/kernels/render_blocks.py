@@ -15,6 +15,7 @@ from threedvc.kernels.blocks import find_cell
 __all__ = ["build_block", "fit_plane", "fit_planes", "spread_distance"]
 
 REACH = 2
+EMPTY = -1
 
 
 @kernel
@@ -67,15 +68,16 @@ def fit_plane(counts, moments, products, plane):
 
 
 @kernel
-def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
+def fit_planes(numbers, start, stop, coords, tables, occupied, relief, places, weights, planes):
     """Fit the planes of the occupied cells of blocks ``numbers[start:stop]`` into `planes` (blocks, 512, 4) int8.
 
-    `weights` (5,) float64 weighs a cell by its distance along each axis.
+    A cell counts with the point of it, of `places` (256, 3) in cells from its centre, that its relief (blocks, 512)
+    names; `weights` (5,) float64 weighs it by the distance of its centre along each axis.
     """
     root_origin, root, supers = tables
     side = 8 + 2 * REACH
-    patch = np.zeros((side, side, side), dtype=np.uint8)
-    flat = occupied.reshape(-1)
+    patch = np.zeros((side, side, side), dtype=np.int16)
+    flat, flat_relief = occupied.reshape(-1), relief.reshape(-1)
     moments, products = np.empty(3), np.empty(6)
     for n in range(start, stop):
         b = numbers[n]
@@ -84,7 +86,7 @@ def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
             for y in range(side):
                 for x in range(side):
                     cell = find_cell(x0 + x, y0 + y, z0 + z, root_origin, root, supers)
-                    patch[z, y, x] = cell >= 0 and flat[cell] != 0
+                    patch[z, y, x] = flat_relief[cell] if cell >= 0 and flat[cell] != 0 else EMPTY
         for i in range(512):
             if not occupied[b, i]:
                 continue
@@ -95,9 +97,11 @@ def fit_planes(numbers, start, stop, coords, tables, occupied, weights, planes):
             for dz in range(5):
                 for dy in range(5):
                     for dx in range(5):
-                        if patch[cz + dz, cy + dy, cx + dx]:
+                        place = patch[cz + dz, cy + dy, cx + dx]
+                        if place != EMPTY:
                             w = weights[dx] * weights[dy] * weights[dz]
                             x, y, z = dx - 2.0, dy - 2.0, dz - 2.0
+                            x, y, z = x + places[place, 0], y + places[place, 1], z + places[place, 2]
                             counts += w
                             moments[0] += w * x
                             moments[1] += w * y

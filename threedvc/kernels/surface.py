@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
 
-__all__ = ["count_neighbours", "mark_surface", "smooth_distances"]
+__all__ = ["count_neighbours", "find_crossings", "mark_surface", "smooth_distances"]
 
 REACH = 3.0
 MAX_JUMP = 4.0
@@ -116,3 +118,35 @@ def count_neighbours(cells, positions, tables, flags, counts):
             )
             if k != 13 and other >= 0 and flags[other]:
                 counts[n] += 1
+
+
+@kernel
+def find_crossings(cells, positions, tables, distance, weight, crossings):
+    """Write where a surface passes from the centres of cells (n, 3) along each axis, in cells, to `crossings` (n, 3).
+
+    `distance` and `weight` are (blocks * 512,), see `EvidenceModel`. Without a change of sign on either side it is the
+    end of the cell that is nearer to one.
+    """
+    root_origin, root, supers = tables
+    for n in range(len(cells)):
+        here = np.float64(distance[positions[n]])
+        for axis in range(3):
+            crossing, slope = 2.0, 0.0
+            for way in (-1, 1):
+                other = find_cell(
+                    cells[n, 0] + way * (axis == 0),
+                    cells[n, 1] + way * (axis == 1),
+                    cells[n, 2] + way * (axis == 2),
+                    root_origin,
+                    root,
+                    supers,
+                )
+                if other < 0 or weight[other] <= 0.0:
+                    continue
+                there = np.float64(distance[other])
+                slope += way * (there - here)
+                if (here > 0) != (there > 0) and here / (here - there) < abs(crossing):
+                    crossing = way * here / (here - there)
+            if crossing == 2.0:
+                crossing = 0.5 if (here > 0) == (slope < 0) else -0.5
+            crossings[n, axis] = crossing

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""What surfaces would take if they were sent at once, for choices by measurement."""
+
+from __future__ import annotations
+
+from threedvc.coding.color import ColorSettings
+from threedvc.coding.relief import encode_relief
+from threedvc.coding.update import encode_update_with_result
+from threedvc.config import ColorConfig, with_step
+from threedvc.object_model import DecodedModel
+from threedvc.readout import Surface, first_sights, read_surface
+from threedvc.scene import Scene
+
+__all__ = ["color_settings", "one_shot", "surface_bytes"]
+
+
+def color_settings(color: ColorConfig, grey: bool) -> ColorSettings:
+    """Return how finely colours are coded."""
+    return ColorSettings(luma_step=color.luma_step, chroma_step=color.chroma_step, grey=grey)
+
+
+def one_shot(
+    surface: Surface, voxel_size_m: float, relief_bits: int, settings: ColorSettings
+) -> tuple[int, DecodedModel]:
+    """Return the bytes of a surface sent at once, and the model with it."""
+    model = DecodedModel(voxel_size_m, relief_bits=relief_bits)
+    payload, decoded = encode_update_with_result(first_sights(surface, model, None), *model.cells(), settings)
+    model.apply(decoded)
+    size = len(payload)
+    if relief_bits and len(surface.cells):
+        size += len(encode_relief(model, surface.crossings_of(model.untold_cells()[0])))
+    return size, model
+
+
+def surface_bytes(scene: Scene, luma_step: float) -> int:
+    """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step."""
+    settings = color_settings(with_step(luma_step), scene.info.grey)
+    relief_bits, threads = scene.config.appearance.relief_bits, scene.config.threads
+    sizes = (
+        one_shot(read_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, relief_bits, settings)
+        for item in scene.objects.values()
+    )
+    return sum(size for size, _ in sizes)
