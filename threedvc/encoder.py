@@ -20,7 +20,7 @@ from threedvc.decoder import Decoder
 from threedvc.emitter import Emitter
 from threedvc.errors import CorruptStream, SequenceError
 from threedvc.finishing import Finish, align, finish, trial_error
-from threedvc.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
 from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
 from threedvc.rate_control import (
@@ -41,6 +41,7 @@ from threedvc.trials import surface_bytes
 __all__ = ["Encoder", "OnFrame", "verified"]
 
 FILE_GROUP_S = 2
+TRIAL_FRAMES = 100
 OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
@@ -190,20 +191,27 @@ class Encoder:
         if room is None:
             return
 
-        def tried(factor: float) -> float:
-            if factor != 1:
-                self._take_cells(frames, on_frame, factor)
-            scenes.append(self.scene)
-            return trial_error(self.scene, frames, room)
+        step = -(-len(frames) // TRIAL_FRAMES)
+        some = ThinnedSequence(frames, step)
+        script = {number: item.found[::step] for number, item in self.scene.objects.items()}
 
-        scenes: list[Scene] = []
-        chosen = best_cells(tried)
-        self.scene = scenes[chosen]
-        self.config = self.scene.config
+        def tried(factor: float) -> float:
+            scene = Scene(self.scene.info, self._with_cells(factor), script)
+            for frame in some:
+                scene.add(frame)
+            return trial_error(scene, some, room)
+
+        factor = best_cells(tried)
+        if factor != 1:
+            self._take_cells(frames, on_frame, factor)
+
+    def _with_cells(self, factor: float) -> EncoderConfig:
+        """Return the choices with cells wider by a factor."""
+        return replace(self.config, cell_factor=float(np.clip(self.config.cell_factor * factor, 1 / 16, 16)))
 
     def _take_cells(self, frames: FrameSequence, on_frame: OnFrame | None, factor: float) -> None:
         """Fuse all frames again into cells wider by a factor."""
-        self.config = replace(self.config, cell_factor=float(np.clip(self.config.cell_factor * factor, 1 / 16, 16)))
+        self.config = self._with_cells(factor)
         self._fuse_again(frames, on_frame, {number: item.found for number, item in self.scene.objects.items()})
 
     def _fuse_again(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +14,7 @@ from threedvc.camera import CameraRig
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.pose import Pose, is_rigid
 
-__all__ = ["NANOSECONDS", "Frame", "FrameSequence", "SequenceInfo", "check_frame"]
+__all__ = ["NANOSECONDS", "Frame", "FrameSequence", "SequenceInfo", "ThinnedSequence", "check_frame"]
 
 NANOSECONDS = 1_000_000_000
 
@@ -132,3 +132,32 @@ class FrameSequence(Protocol):
     def __getitem__(self, index: int) -> Frame: ...
 
     def __iter__(self) -> Iterator[Frame]: ...
+
+
+class ThinnedSequence:
+    """Every n-th frame of a sequence, numbered through.
+
+    Parameters
+    ----------
+    frames
+        The sequence.
+    step
+        n.
+    """
+
+    def __init__(self, frames: FrameSequence, step: int) -> None:
+        self._frames, self._step = frames, step
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What holds for every frame."""
+        return self._frames.info
+
+    def __len__(self) -> int:
+        return -(-len(self._frames) // self._step)
+
+    def __getitem__(self, index: int) -> Frame:
+        return replace(self._frames[index * self._step], index=index)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[index] for index in range(len(self)))

@@ -71,30 +71,28 @@ def cell_factor(surface_bytes: int, room_bytes: float) -> float:
     return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
 
 
-def best_cells(error_of: Callable[[float], float]) -> int:
-    """Find the edge of cells with the least error, first by making them narrower, else once by making them wider.
+def best_cells(error_of: Callable[[float], float]) -> float:
+    """Find by how much wider cells should be, first trying narrower ones, and if they are no better wider ones.
 
     Parameters
     ----------
     error_of
-        Makes the edge wider by a factor against the last one, and gives the logarithm of the squared error.
+        Gives the logarithm of the squared error with cells wider by a factor.
 
     Returns
     -------
-    int
-        Which of the calls made the edge to take. Narrower cells are taken although the error is a little larger:
-        they serve the depth.
+    float
+        The factor of the least error, or a smaller one whose error is a little larger: narrow cells serve the depth.
     """
-    errors = [error_of(1.0)]
-    while len(errors) <= MAX_NARROWINGS:
-        errors.append(error_of(NARROWER))
-        if errors[-1] > min(errors) + NEARLY_EQUAL:
+    errors = {1.0: error_of(1.0)}
+    for power in range(1, MAX_NARROWINGS + 1):
+        errors[NARROWER**power] = error_of(NARROWER**power)
+        if errors[NARROWER**power] > min(errors.values()) + NEARLY_EQUAL:
             break
-    narrowest = max(k for k, error in enumerate(errors) if error <= min(errors) + NEARLY_EQUAL)
-    if narrowest:
-        return narrowest
-    errors.append(error_of(NARROWER**-2))
-    return len(errors) - 1 if errors[-1] < errors[0] - NEARLY_EQUAL else 0
+    factor = min(factor for factor, error in errors.items() if error <= min(errors.values()) + NEARLY_EQUAL)
+    if factor == 1 and error_of(1 / NARROWER) < errors[1.0] - NEARLY_EQUAL:
+        return 1 / NARROWER
+    return factor
 
 
 def closest_below(

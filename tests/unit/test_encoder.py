@@ -326,7 +326,8 @@ def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
     for causal in (False, True):
         decoder, _ = decoded(encoded(scene("room"), config(causal=causal))[1])
         models.append({tuple(cell) for cell in decoder.models[0].cells()[0].tolist()})
-    assert len(models[0] & models[1]) > 0.7 * max(map(len, models))
+    # Files straighten what was measured seldom.
+    assert len(models[0] & models[1]) > 0.6 * max(map(len, models))
 
 
 def test_refining_needs_frames_that_can_be_read_again() -> None:
