@@ -38,14 +38,14 @@ class PictureChoice:
 
     def __init__(self, picture: NDArray[np.uint8], grey: bool) -> None:
         self.picture, self._grey = picture, grey
-        self._made: dict[int, tuple[bytes, float]] = {}
+        self._made: dict[tuple[int, bool], tuple[bytes, float]] = {}
 
     def error(self, shown: NDArray[np.uint8]) -> float:
         """Return the sum over all pixels of the squared error (mean of the channels) of a picture like this one."""
         return float(((shown.astype(np.float64) - self.picture) ** 2).mean(axis=2).sum())
 
     def best(self, price: float) -> tuple[bytes, float]:
-        """Return the payload whose squared error plus `price` for every byte is least, and that sum."""
+        """Return the payload whose squared error plus `price` for every byte is about least, and that sum."""
         low, high = LEAST_QUALITY, GREATEST_QUALITY
         while high - low > 2:
             third = (high - low) // 3
@@ -54,18 +54,20 @@ class PictureChoice:
             else:
                 low += third
         quality = min(range(low, high + 1), key=lambda each: self._cost(each, price))
-        return self._coded(quality)[0], self._cost(quality, price)
+        payload, error = self._coded(quality, thorough=True)
+        return payload, error + price * len(payload)
 
     def _cost(self, quality: int, price: float) -> float:
-        payload, error = self._coded(quality)
+        payload, error = self._coded(quality, thorough=False)
         return error + price * len(payload)
 
-    def _coded(self, quality: int) -> tuple[bytes, float]:
-        if quality not in self._made:
-            payload = encode_picture(self.picture, quality, self._grey)
+    def _coded(self, quality: int, *, thorough: bool) -> tuple[bytes, float]:
+        key = quality, thorough
+        if key not in self._made:
+            payload = encode_picture(self.picture, quality, self._grey, thorough=thorough)
             height, width, _ = self.picture.shape
-            self._made[quality] = payload, self.error(decode_picture(payload, width, height, self._grey))
-        return self._made[quality]
+            self._made[key] = payload, self.error(decode_picture(payload, width, height, self._grey))
+        return self._made[key]
 
 
 def background_picture(

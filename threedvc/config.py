@@ -157,7 +157,7 @@ class AppearanceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig:
-    """Pose coding: quantisation steps; None: what moves the picture by a quarter of a pixel."""
+    """Pose coding: quantisation steps; None: half a pixel, so that rounding moves the picture by a quarter."""
 
     translation_step_m: float | None = None
     rotation_step_rad: float | None = None

@@ -46,7 +46,7 @@ def test_the_usual_frame_of_the_file_is_left_out() -> None:
     wanted = scene(100, 80)
     planes = picture_coding._planes(wanted, False)
     whole = cv2.imencode(
-        ".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, 40, cv2.IMWRITE_AVIF_SPEED, picture_coding.ENCODER_SPEED]
+        ".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, 40, cv2.IMWRITE_AVIF_SPEED, picture_coding.THOROUGH_SPEED]
     )[1]
     payload = encode_picture(wanted, 40, False)
     assert payload[0] == picture_coding.STRIPPED

@@ -18,7 +18,7 @@ from threedvc.errors import CorruptStream, UnsupportedVersion
 __all__ = ["can_code_pictures", "decode_picture", "encode_picture"]
 
 WHOLE, STRIPPED = 0, 1
-ENCODER_SPEED = 3
+QUICK_SPEED, THOROUGH_SPEED = 3, 0
 HEAD = bytes.fromhex(
     "0000001c66747970617669660000000061766966"
     "6d6966316d696166000000e96d657461000000000000002168646c72000000000000000070"
@@ -38,7 +38,7 @@ def can_code_pictures() -> bool:
     return bool(cv2.haveImageWriter(".avif"))
 
 
-def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool) -> bytes:
+def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool, *, thorough: bool = True) -> bytes:
     """Return the payload of a picture.
 
     Parameters
@@ -49,11 +49,12 @@ def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool) -> byte
         1 to 100, as AVIF encoders take it.
     grey
         Whether to code the luma alone.
+    thorough
+        Whether to take several times as long for about 3 % fewer bytes.
     """
+    speed = THOROUGH_SPEED if thorough else QUICK_SPEED
     planes = _planes(picture, grey)
-    done, data = cv2.imencode(
-        ".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, quality, cv2.IMWRITE_AVIF_SPEED, ENCODER_SPEED]
-    )
+    done, data = cv2.imencode(".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, quality, cv2.IMWRITE_AVIF_SPEED, speed])
     if not done:
         raise RuntimeError("the AVIF encoder of OpenCV refused a picture")
     return _stripped(bytes(data), planes.shape[1], planes.shape[0])
