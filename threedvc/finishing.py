@@ -200,6 +200,9 @@ class _Fit:
         """Sample all frames, if wanted after aligning what may move in them with the colours so far."""
         self._kept = []
         for frame in self._seen_frames():
+            if self._scene.repeated[frame.index]:
+                self._hold(frame.index)
+                continue
             sample = self._aligned(frame) if aligned else self._sample(frame)
             self._gains[frame.index] = fit_gain(sample, sample.shown(self.colors), self._grey)
             if frame.index % self._every == 0:
@@ -253,7 +256,7 @@ class _Fit:
         last = NEUTRAL
         kept = dict(self._kept)
         for index in range(len(self._frames)):
-            if not self._poses(index):
+            if not self._poses(index) or self._scene.repeated[index]:
                 continue
             sample = kept.get(index) or self._sample(self._scene.limited(self._frames[index]))
             shown = sample.shown(self.colors)
@@ -310,6 +313,14 @@ class _Fit:
             if number == 0 and self.may_shift:
                 self.shifts[index] = aligned_shift(frame, scene.info.rig, pose, points, shades, self.shifts[index])
         return self._sample(frame) if moved else sample
+
+    def _hold(self, index: int) -> None:
+        """Let a frame that repeats the one before be as that one, but for poses that are given."""
+        self._gains[index], self.shifts[index] = self._gains[index - 1], self.shifts[index - 1]
+        for number, item in self._scene.objects.items():
+            at, before = self.script[number][index], self.script[number][index - 1]
+            if at is not None and before is not None and not self._scene.is_given(item, at):
+                self.script[number][index] = replace(at, T_camera_object=before.T_camera_object)
 
     def _poses(self, frame: int) -> dict[int, Pose]:
         """Return where the decoder will draw every object that has appeared."""

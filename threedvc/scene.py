@@ -109,6 +109,8 @@ class Scene:
     ----------
     distance_m
         Median depth of the first frame that has any.
+    repeated
+        For each frame, whether it is a copy of the one before: it tells nothing new, and is not fused.
     """
 
     def __init__(
@@ -118,6 +120,8 @@ class Scene:
         self._script = script
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
+        self.repeated: list[bool] = []
+        self._before: Frame | None = None
         self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
         self._sensor: SensorModel | None = None
@@ -137,6 +141,8 @@ class Scene:
             If the frame does not fit the sequence.
         """
         check_frame(frame, self.info)
+        self.repeated.append(self._before is not None and _same_pictures(frame, self._before))
+        self._before = frame
         frame = self.limited(frame)
         if self._sensor is None:
             chosen = self.config.sensor
@@ -161,7 +167,7 @@ class Scene:
             item.record(frame.index, found)
             if found is not None:
                 worst = max(worst, str(found.status), key=STATUS_ORDER.index)
-                if found.usable:
+                if found.usable and not self.repeated[-1]:
                     self._fuse(item, seen, mask, found.T_camera_object, sensor)
         self.timestamps.append(frame.timestamp_ns)
         return worst
@@ -232,3 +238,8 @@ class Scene:
     ) -> None:
         numbers = fuse(item.evidence, seen, mask, pose, sensor, self.config.fusion, self.config.threads)
         item.entropy.update(numbers, self.config.threads)
+
+
+def _same_pictures(one: Frame, other: Frame) -> bool:
+    masks = [np.zeros(0) if frame.mask is None else frame.mask for frame in (one, other)]
+    return np.array_equal(one.color, other.color) and np.array_equal(one.depth, other.depth) and np.array_equal(*masks)
