@@ -241,5 +241,10 @@ class Scene:
 
 
 def _same_pictures(one: Frame, other: Frame) -> bool:
-    masks = [np.zeros(0) if frame.mask is None else frame.mask for frame in (one, other)]
-    return np.array_equal(one.color, other.color) and np.array_equal(one.depth, other.depth) and np.array_equal(*masks)
+    """Tell whether two frames show the same, pixel by pixel."""
+    if (one.mask is None) != (other.mask is None):
+        return False
+    pairs = [(one.color, other.color), (one.depth, other.depth)]
+    if one.mask is not None and other.mask is not None:
+        pairs.append((one.mask, other.mask))
+    return all(np.array_equal(a, b) for a, b in pairs)

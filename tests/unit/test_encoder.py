@@ -29,6 +29,7 @@ from threedvc.packets import (
     unpack_batch,
 )
 from threedvc.pose import compose, inverse, make_pose, rotation_angle
+from threedvc.rate_control import stream_bytes
 from threedvc.report import FrameReport
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -328,6 +329,19 @@ def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
         models.append({tuple(cell) for cell in decoder.models[0].cells()[0].tolist()})
     # Files straighten what was measured seldom.
     assert len(models[0] & models[1]) > 0.6 * max(map(len, models))
+
+
+@pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
+def test_repeating_the_last_frame_costs_next_to_nothing(motion: Motion) -> None:
+    sequence = scene("room")
+    last = sequence.frames[-1]
+    period = last.timestamp_ns - sequence.frames[-2].timestamp_ns
+    again = [replace(last, index=last.index + k, timestamp_ns=last.timestamp_ns + k * period) for k in range(1, 101)]
+    sizes = []
+    for frames in (sequence.frames, [*sequence.frames, *again]):
+        encoder = Encoder(sequence.info, EncoderConfig(motion=motion, threads=1))
+        sizes.append(stream_bytes(list(encoder.packets(ListSequence(frames, sequence.info)))))
+    assert sizes[1] - sizes[0] < 100
 
 
 def test_refining_needs_frames_that_can_be_read_again() -> None:
