@@ -14,7 +14,7 @@ import pytest
 from streams import ListSequence
 from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.decoder import Decoder, FrameState, models_digest
+from threedvc.decoder import Decoder, FrameState, models_digest, nearest_multiple
 from threedvc.encoder import Encoder, verified
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.frame import Frame
@@ -334,9 +334,11 @@ def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
 @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
 def test_repeating_the_last_frame_costs_next_to_nothing(motion: Motion) -> None:
     sequence = scene("room")
-    last = sequence.frames[-1]
-    period = last.timestamp_ns - sequence.frames[-2].timestamp_ns
-    again = [replace(last, index=last.index + k, timestamp_ns=last.timestamp_ns + k * period) for k in range(1, 101)]
+    last, fps = sequence.frames[-1], int(sequence.info.fps)
+    again = [
+        replace(last, index=index, timestamp_ns=nearest_multiple(index, 10**9, fps))
+        for index in range(last.index + 1, last.index + 101)
+    ]
     sizes = []
     for frames in (sequence.frames, [*sequence.frames, *again]):
         encoder = Encoder(sequence.info, EncoderConfig(motion=motion, threads=1))
