@@ -242,8 +242,8 @@ class Scene:
 
 def _same_pictures(one: Frame, other: Frame) -> bool:
     """Tell whether two frames show the same, pixel by pixel."""
-    if one.mask is None or other.mask is None:
-        same = one.mask is other.mask
-    else:
-        same = np.array_equal(one.mask, other.mask)
-    return same and np.array_equal(one.color, other.color) and np.array_equal(one.depth, other.depth)
+    if (one.mask is None) != (other.mask is None):
+        return False
+    if one.mask is not None and other.mask is not None and not np.array_equal(one.mask, other.mask):
+        return False
+    return np.array_equal(one.color, other.color) and np.array_equal(one.depth, other.depth)
