@@ -68,7 +68,9 @@ def expected_depth(
         first_seen=int(model.first_seen.flat[position]),
     )
     point = _in_camera(cell, h, T_camera_object)
-    pixel = _pixel(seen.rig.depth, point)
+    pixel, share = _pixel(seen.rig.depth, point), 1.0
+    if pixel is None:
+        pixel, share = _border_pixel(seen.rig.depth, point, h), 0.02
     if pixel is None or seen.depth[pixel] <= 0:
         return old
     reading = float(seen.depth[pixel])
@@ -77,11 +79,12 @@ def expected_depth(
     away = reading - point[2]
     if away < -band or (not mask[pixel] and away < band):
         return old
-    precision = (0.0022 / (0.001 + sigma)) ** 2
+    precision = share * (0.0022 / (0.001 + sigma)) ** 2
     weight = old.distance_weight + precision
     free = away > band
+    change = free_space_log_odds(sensor) if free else _in_window(model, point, reading, T_camera_object, sensor)
     return CellEvidence(
-        log_odds=free_space_log_odds(sensor) if free else _in_window(model, point, reading, T_camera_object, sensor),
+        log_odds=share * change,
         distance=old.distance + (min(away, band) - old.distance) * precision / weight,
         distance_weight=min(weight, 200.0),
         first_seen=old.first_seen if free else min(old.first_seen, seen.frame),
@@ -131,6 +134,17 @@ def _pixel(camera: Camera, point: Floats) -> tuple[int, int] | None:
     u, v = np.floor(camera.project(point) + 0.5)
     inside = 0 <= u < camera.width and 0 <= v < camera.height
     return (int(v), int(u)) if inside else None
+
+
+def _border_pixel(camera: Camera, point: Floats, voxel_size: float) -> tuple[int, int] | None:
+    """Return the pixel of the border beside which a point lies, if a cell there reaches it."""
+    if point[2] <= 0.01:
+        return None
+    place = camera.project(point)
+    border = np.clip(np.floor(place + 0.5), 0, [camera.width - 1, camera.height - 1])
+    if np.abs(place - border).max() > voxel_size * camera.fx / point[2]:
+        return None
+    return int(border[1]), int(border[0])
 
 
 def _in_window(

@@ -157,7 +157,7 @@ class AppearanceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig:
-    """Pose coding: quantisation steps; None: half a pixel, so that rounding moves the picture by a quarter."""
+    """Pose coding: quantisation steps; None: about a third of a pixel."""
 
     translation_step_m: float | None = None
     rotation_step_rad: float | None = None

@@ -62,7 +62,7 @@ MAX_STILL_GAP = 2
 MIN_LIVE_CELLS = 4
 """A live encoder lets fewer changed cells than these wait for more: their framing would outweigh them."""
 MAX_REST = MAX_COUNT // 2
-STEP_PIXELS = 0.5
+STEP_PIXELS = 0.35
 LEAST_STEP_M, GREATEST_STEP_M = 5e-5, 5e-3
 BATCH_BYTES = 40
 MEMBER_BYTES = 20
@@ -79,7 +79,7 @@ class PoseSteps(NamedTuple):
 
 
 def pose_steps(scene: Scene, config: PoseConfig) -> PoseSteps:
-    """Return the steps asked for, or those of half a pixel: rounding moves what is seen by a quarter at most."""
+    """Return the steps asked for, or about a third of a pixel: rounding moves what is seen by half of that."""
     rig = scene.info.rig
     turn = STEP_PIXELS / max(rig.color.fx, rig.depth.fx)
     return PoseSteps(

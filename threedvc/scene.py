@@ -27,7 +27,7 @@ MIN_PIXELS = 30
 MAX_DEPTH_M = 1e4
 PIXELS_PER_CELL = 4.0
 MIN_PIXELS_PER_CELL = 1.3
-BACKDROP_CELLS = 1.1
+BACKDROP_CELLS = 1.5
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 STATUS_ORDER = ("known", "tracked", "weak", "lost")
@@ -141,13 +141,13 @@ class Scene:
             If the frame does not fit the sequence.
         """
         check_frame(frame, self.info)
-        self.repeated.append(self._before is not None and _same_pictures(frame, self._before))
-        self._before = frame
         frame = self.limited(frame)
         if self._sensor is None:
             chosen = self.config.sensor
             self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
             frame = self.limited(frame)
+        self.repeated.append(self._before is not None and _same_pictures(frame, self._before))
+        self._before = frame
         sensor = self._sensor
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))

@@ -280,3 +280,18 @@ def test_holes_in_depth_are_drawn_in_colour_alone() -> None:
 def test_a_scene_without_holes_needs_no_guess() -> None:
     packets = encoded(scene("paper"), replace(with_preset(FILE, Preset.FAST), segmentation=THRESHOLD))
     assert not [packet for packet in members(packets, PacketType.OBJECT) if packet.header.get("g")]
+
+
+@pytest.mark.parametrize("bits", [0, 1, 3])
+def test_a_relief_goes_with_every_group_of_cells(bits: int) -> None:
+    sequence = scene("room")
+    plain = with_preset(FILE, Preset.FAST)
+    fine = replace(plain, group_frames=3, appearance=replace(plain.appearance, relief_bits=bits))
+    packets = encoded(sequence, fine)
+    updates = [packet for packet in members(packets, PacketType.MODEL) if packet.header.get("o", 0) == 0]
+    assert len(updates) > 1
+    assert len(members(packets, PacketType.RELIEF)) == (len(updates) if bits else 0)
+    decoder = Decoder()
+    assert len(list(decoder.frames(packets))) == len(sequence)
+    assert decoder.complete
+    assert decoder.models[0].relief_bits == bits

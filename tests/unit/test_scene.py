@@ -42,6 +42,7 @@ def frame(index: int, *, boxed: bool = True, pose: Pose | None = None, wall: flo
     if boxed:
         depth[BOX], mask[BOX] = 0.9, 3
     color = np.full((36, 48, 3), 90, dtype=np.uint8)
+    color[0, 0] = index
     poses = {3: shifted(0, 0.9) if pose is None else pose} if boxed else {}
     return Frame(
         index=index,
@@ -131,6 +132,20 @@ def test_a_lost_object_is_not_fused() -> None:
     for index in range(3):
         twice.add(frame(index))
     np.testing.assert_array_equal(once.objects[3].evidence.log_odds, twice.objects[3].evidence.log_odds)
+
+
+def test_a_frame_that_repeats_the_one_before_is_not_fused() -> None:
+    once, twice = Scene(INFO, config()), Scene(INFO, config())
+    once.add(frame(0))
+    for index in range(3):
+        twice.add(replace(frame(0), index=index, timestamp_ns=index))
+    assert twice.repeated == [False, True, True]
+    for number in (0, 3):
+        evidence = [scene.objects[number].evidence for scene in (once, twice)]
+        np.testing.assert_array_equal(evidence[0].log_odds, evidence[1].log_odds)
+        assert len(twice.objects[number].poses) == 3
+    twice.add(frame(3))
+    assert np.any(twice.objects[0].evidence.log_odds != once.objects[0].evidence.log_odds)
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf, -1.0])

@@ -16,6 +16,7 @@ from threedvc.kernels.ray_update import cell_update
 __all__ = ["fuse_color", "integrate_depth", "mark_blocks", "project_point", "sensor_sigma", "visible_blocks"]
 
 MAX_WINDOW = 64
+BEYOND_BORDER = 0.02
 
 
 @kernel
@@ -163,8 +164,14 @@ def integrate_depth(
             y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
             fu, fv = project_point(x, y, z, camera)
             u, v = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
+            share = 1.0
             if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0]:
-                continue
+                # Surfaces go on for a cell beyond the border, lest they end before it; better views outweigh that.
+                near = voxel_size * camera[0] / z
+                u, v = min(max(u, 0), depth.shape[1] - 1), min(max(v, 0), depth.shape[0] - 1)
+                if max(abs(fu - u), abs(fv - v)) > near:
+                    continue
+                share = BEYOND_BORDER
             reading = np.float64(depth[v, u])
             if reading <= 0.0:
                 continue
@@ -183,6 +190,8 @@ def integrate_depth(
                 )
                 if frame < first_seen[b, i]:
                     first_seen[b, i] = frame
+            delta[n, i] *= share
+            precision *= share
             total = weight[b, i] + precision
             distance[b, i] += np.float32((min(away, band) - distance[b, i]) * precision / total)
             weight[b, i] = min(total, 200.0)
