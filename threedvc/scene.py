@@ -27,7 +27,7 @@ MIN_PIXELS = 30
 MAX_DEPTH_M = 1e4
 PIXELS_PER_CELL = 4.0
 MIN_PIXELS_PER_CELL = 1.3
-BACKDROP_CELLS = 1.5
+BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 STATUS_ORDER = ("known", "tracked", "weak", "lost")
