@@ -224,10 +224,15 @@ class Emitter:
         """Return how many bytes model updates may take in a group whose other packets are known."""
         if self._bucket is None:
             return inf
-        self._bucket.wait((stop - first) / self._info.fps)
+        seconds = (stop - first) / self._info.fps
+        self._bucket.wait(seconds)
         self._groups += 1
-        ending = END_BYTES + INDEX_ENTRY_BYTES * self._groups if last else 0
-        return self._bucket.room - _packed_bytes(needed) - BATCH_BYTES - ending
+        needs = _packed_bytes(needed) + BATCH_BYTES
+        # The next group may be the last, and will need about as much as this one.
+        reserve = float(END_BYTES + INDEX_ENTRY_BYTES * (self._groups + 1))
+        if not last:
+            reserve = max(reserve + needs - self._bucket.refill(seconds), 0.0)
+        return self._bucket.room - needs - reserve
 
     def _numbers(self) -> list[int]:
         return sorted({*self._scene.objects, *self._guessed})

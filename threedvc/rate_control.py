@@ -151,7 +151,11 @@ class LeakyBucket:
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
-        self.room = min(self.room + self._rate * seconds, self._size)
+        self.room = min(self.room + self.refill(seconds), self._size)
+
+    def refill(self, seconds: float) -> float:
+        """Return how many bytes a time adds while the buffer is not full."""
+        return self._rate * seconds
 
     def take(self, count: int) -> None:
         """Note that bytes were sent."""
