@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import replace
+from math import inf
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -42,6 +43,8 @@ __all__ = ["Encoder", "OnFrame", "verified"]
 
 FILE_GROUP_S = 2
 TRIAL_FRAMES = 100
+LEAST_CELL_FACTOR = 0.45
+"""Cells narrower than about two pixels are not tried: a decoder would draw them slowly."""
 OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
@@ -196,7 +199,10 @@ class Encoder:
         script = {number: item.found[::step] for number, item in self.scene.objects.items()}
 
         def tried(factor: float) -> float:
-            scene = Scene(self.scene.info, self._with_cells(factor), script)
+            config = self._with_cells(factor)
+            if factor < 1 and config.cell_factor < LEAST_CELL_FACTOR:
+                return inf
+            scene = Scene(self.scene.info, config, script)
             for frame in some:
                 scene.add(frame)
             return trial_error(scene, some, room)
