@@ -56,8 +56,8 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               help="How much work: send at once; fit colours; refine cameras and poses, too; for longer.")  # fmt: skip
 @click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
 @click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colours.  [default: 50]")
-@click.option("--relief", type=click.IntRange(0, 3), default=0, show_default=True,
-              help="Bits that tell where in a cell the surface passes, of files.")  # fmt: skip
+@click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
+              help="Bits that tell where in a cell the surface passes.  [default: 1 if cheap]")  # fmt: skip
 @click.option("--causal", is_flag=True, help="The same as --preset live.")
 @click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
 @threads_option

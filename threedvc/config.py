@@ -139,19 +139,19 @@ class AppearanceConfig:
     texture_scale
         Colours along an edge of a cell: 1, 2 or 4.
     relief_bits
-        Binary logarithm of the places in a cell that the surface may pass: 0 to 3.
+        Binary logarithm of the places in a cell that the surface may pass, 0 to 3; None: 1 where that is cheap, else 0.
     """
 
     rounds: int = 3
     texture_scale: int = 1
-    relief_bits: int = 0
+    relief_bits: int | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.rounds <= 20:
             raise ConfigError(f"rounds {self.rounds} of alignment must be within 0..20")
         if self.texture_scale not in (1, 2, 4):
             raise ConfigError(f"texture scale {self.texture_scale} must be 1, 2 or 4")
-        if not 0 <= self.relief_bits <= MAX_RELIEF_BITS:
+        if self.relief_bits is not None and not 0 <= self.relief_bits <= MAX_RELIEF_BITS:
             raise ConfigError(f"relief bits {self.relief_bits} must be within 0..{MAX_RELIEF_BITS}")
 
 

@@ -247,7 +247,7 @@ class Emitter:
                 return None
             plain = self._finished is None or guessed
             scale = 1 if plain else self._config.appearance.texture_scale
-            relief_bits = 0 if plain else self._config.appearance.relief_bits
+            relief_bits = 0 if plain else self._config.appearance.relief_bits or 0
             self._sent[number] = _Sent(item, self._steps, scale, relief_bits, guessed=guessed)
             introduction.append(
                 ObjectHeader(
@@ -336,8 +336,8 @@ class Emitter:
 
     def _size_of(self, surface: Surface) -> tuple[int, DecodedModel]:
         """Return the bytes of a surface sent at once, and the model with it."""
-        voxel_size_m, relief_bits = self._scene.objects[0].evidence.voxel_size_m, self._config.appearance.relief_bits
-        return one_shot(surface, voxel_size_m, relief_bits, self._color)
+        voxel_size_m = self._scene.objects[0].evidence.voxel_size_m
+        return one_shot(surface, voxel_size_m, self._config.appearance.relief_bits or 0, self._color)
 
     def _relief(self, sent: _Sent, frame: int) -> Iterator[Packet]:
         """Yield where in the cells that were just sent the surface passes."""

@@ -37,7 +37,7 @@ from threedvc.rate_control import (
 from threedvc.refinement import calibrated_rig, refined_script
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
-from threedvc.trials import surface_bytes
+from threedvc.trials import cheap_relief, surface_bytes
 
 __all__ = ["Encoder", "OnFrame", "verified"]
 
@@ -167,9 +167,12 @@ class Encoder:
                 self._fuse_all(frames, on_frame)
             self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
             self._try_cells(frames, on_frame)
+            self._choose_relief()
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
                 script, shifts = align(self.scene, frames, self.config.appearance.rounds)
                 self._fuse_again(frames, on_frame, script)
+        else:
+            self._choose_relief()
         return finish(self.scene, frames, shifts)
 
     @property
@@ -210,6 +213,14 @@ class Encoder:
         factor = best_cells(tried)
         if factor != 1:
             self._take_cells(frames, on_frame, factor)
+
+    def _choose_relief(self) -> None:
+        """Settle whether the stream tells where in their cells surfaces pass."""
+        appearance = self.config.appearance
+        if appearance.relief_bits is None:
+            step = self.config.color.luma_step if self._target_bytes is None else MIDDLE_STEP
+            appearance = replace(appearance, relief_bits=cheap_relief(self.scene, step))
+            self.config = self.scene.config = replace(self.config, appearance=appearance)
 
     def _with_cells(self, factor: float) -> EncoderConfig:
         """Return the choices with cells wider by a factor."""

@@ -181,7 +181,7 @@ class _Fit:
             number, guess = self.guess
             surfaces[number], sizes[number], scales[number] = guess.surface, guess.voxel_size_m, 1
             guessed = frozenset([number])
-        return ColorField(surfaces, sizes, scales, self._threads, guessed, scene.config.appearance.relief_bits)
+        return ColorField(surfaces, sizes, scales, self._threads, guessed, scene.config.appearance.relief_bits or 0)
 
     def guess_holes(self) -> None:
         """Guess surfaces where the colour pictures of a moving camera show something and the model has nothing."""

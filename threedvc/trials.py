@@ -11,7 +11,10 @@ from threedvc.object_model import DecodedModel
 from threedvc.readout import Surface, first_sights, read_surface
 from threedvc.scene import Scene
 
-__all__ = ["color_settings", "one_shot", "surface_bytes"]
+__all__ = ["cheap_relief", "color_settings", "one_shot", "surface_bytes"]
+
+CHEAP = 0.1
+"""Share of the bytes of surfaces that one bit of relief may add."""
 
 
 def color_settings(color: ColorConfig, grey: bool) -> ColorSettings:
@@ -32,12 +35,26 @@ def one_shot(
     return size, model
 
 
-def surface_bytes(scene: Scene, luma_step: float) -> int:
-    """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step."""
+def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None) -> int:
+    """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step.
+
+    Without `relief_bits` they have as many as the scene's choices say.
+    """
     settings = color_settings(with_step(luma_step), scene.info.grey)
-    relief_bits, threads = scene.config.appearance.relief_bits, scene.config.threads
+    bits = scene.config.appearance.relief_bits or 0 if relief_bits is None else relief_bits
+    threads = scene.config.threads
     sizes = (
-        one_shot(read_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, relief_bits, settings)
+        one_shot(read_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, bits, settings)
         for item in scene.objects.values()
     )
     return sum(size for size, _ in sizes)
+
+
+def cheap_relief(scene: Scene, luma_step: float) -> int:
+    """Return 1 if one bit of relief costs little beside the surfaces, else 0.
+
+    On smooth surfaces it does, and there it is needed most: cells lie in wide steps, whose height the decoder cannot
+    tell from their neighbours. Noise makes it dear, and stands in for it.
+    """
+    plain, fine = (surface_bytes(scene, luma_step, bits) for bits in (0, 1))
+    return 1 if fine < (1 + CHEAP) * plain else 0
