@@ -178,13 +178,15 @@ def test_nothing_out_of_sight_is_drawn(pose: Pose) -> None:
     assert not picture.labels.any()
 
 
-def test_depth_does_not_depend_on_where_blocks_lie() -> None:
-    cells = surface_cells(ball, CELL, 0.45)
-    here = drawn(ready(model_of_cells(cells, CELL)), AHEAD).depth
-    for shift in ([3, -5, 7], [64, 0, -129], [-100_000, 70_000, 5]):
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_depth_does_not_depend_on_where_blocks_lie(shape: str, view: str) -> None:
+    cells, pose = surface_cells(SHAPES[shape], CELL, 0.45), VIEWS[view]
+    here = drawn(ready(model_of_cells(cells, CELL)), pose).depth
+    for shift in ([3, -5, 7], [1, 2, 4], [64, 0, -129], [-100_000, 70_000, 5]):
         far = np.array(shift, dtype=np.int32)
-        pose = compose(AHEAD, make_pose(np.eye(3), -CELL * far.astype(np.float64)))
-        np.testing.assert_allclose(drawn(ready(model_of_cells(cells + far, CELL)), pose).depth, here, atol=1e-4)
+        there = compose(pose, make_pose(np.eye(3), -CELL * far.astype(np.float64)))
+        np.testing.assert_allclose(drawn(ready(model_of_cells(cells + far, CELL)), there).depth, here, atol=1e-4)
 
 
 def test_the_size_of_cells_is_only_a_scale() -> None:

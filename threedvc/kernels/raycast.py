@@ -168,17 +168,73 @@ def is_stopped(distance, outward, ux, uy, uz):
 
 
 @kernel
-def face_ray(outward, ux, uy, uz):
-    """Turn planes against a ray of direction (ux, uy, uz), as at the start of every neighbourhood."""
+def begin_neighbourhood(passed, outward, ux, uy, uz):
+    """Forget what was passed, and turn planes against a ray of direction (ux, uy, uz)."""
+    passed[1] = passed[2] = FAR
     outward[0], outward[1], outward[2] = -ux, -uy, -uz
 
 
 @kernel
+def pass_cube(
+    occupied, axis, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, t_out, before, opacity, passed, outward
+):
+    """Pass a cube with occupied corners from `t` to `t_out`; return what `before` is for the next, and the hit or FAR.
+
+    Parameters
+    ----------
+    occupied
+        A bit for each occupied corner.
+    axis
+        Along which the ray leaves.
+    ax, ay, az
+        Origin of the ray relative to the corner cell of the cube.
+    before
+        Distance at `t` by the face that is shared with the cube before; FAR: not known.
+    """
+    last = t_out
+    x, y, z = ax + last * dx, ay + last * dy, az + last * dz
+    if axis == 0:
+        x, face = (1.0, 0b10101010) if dx > 0.0 else (0.0, 0b01010101)
+    elif axis == 1:
+        y, face = (1.0, 0b11001100) if dy > 0.0 else (0.0, 0b00110011)
+    else:
+        z, face = (1.0, 0b11110000) if dz > 0.0 else (0.0, 0b00001111)
+    after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, outward)
+    opaque = outward[6]
+    if after == FAR:
+        last = t + NEAR_END * (t_out - t)
+        x, y, z = ax + last * dx, ay + last * dy, az + last * dz
+        after = surface_at(occupied, plane, base, x, y, z, ux, uy, uz, outward)
+        opaque = 0.0
+    nx, ny, nz = outward[3], outward[4], outward[5]
+    if after > 0.0:
+        passed[2] = FAR
+        if after < passed[1]:
+            passed[0], passed[1] = last, after
+    else:
+        if before == FAR:
+            before = surface_at(occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, outward)
+        if before > 0.0:
+            passed[2] = refine_hit(
+                occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, min(before, MAX_DISTANCE), last, after,
+                outward,
+            )  # fmt: skip
+            opaque = outward[6]
+        elif passed[2] == FAR:
+            passed[2] = last
+        if opaque > opacity:
+            return after, passed[2]
+        passed[1] = FAR
+    if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
+        outward[0], outward[1], outward[2] = nx, ny, nz
+    return after if last == t_out else FAR, FAR
+
+
+@kernel
 def cast_in_block(
-    px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, corners, plane, opacity, number,
-    grazed, hit, outward,
-):  # fmt: skip
-    """Walk the cells of one render block from `t` to `t_end`; return whether the ray is stopped.
+    px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, corners, plane, opacity, passed, outward
+):
+    """Walk the cells of one render block from `t` to `t_end`; return the ray parameter of the hit, or FAR.
 
     Parameters
     ----------
@@ -188,14 +244,11 @@ def cast_in_block(
         (512,) uint8: how many cells away the nearest cube with an occupied corner is.
     corners
         (512,) uint8: a bit for each occupied corner of a cube, that of x lowest.
-    grazed
-        (5,) float64, kept from block to block: parameter, distance, render block and cube of the
-        nearest approach to a surface that the ray has not crossed; distance FAR: none. A ray that leaves
-        the neighbourhood of a surface may be stopped there, else a shell of one cell would have streaks.
-        Last the parameter at which it has crossed one where too little is opaque, or FAR: if enough is
-        further on, before the ray comes out again, it was stopped there.
-    hit
-        (3,) float64 output: parameter, render block and cube.
+    passed
+        (3,) float64, kept from block to block: parameter and distance of the nearest approach to a surface that the
+        ray has not crossed; distance FAR: none. A ray that leaves the neighbourhood of a surface may be stopped
+        there, else a shell of one cell would have streaks. Last the parameter at which it has crossed one where too
+        little is opaque, or FAR: if enough is further on, before the ray comes out again, it was stopped there.
     outward
         (7,) float64, kept from block to block; see `surface_at`.
     """
@@ -204,76 +257,39 @@ def cast_in_block(
     leap = min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
     step_x, step_y, step_z = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1, 1 if dz > 0.0 else -1
     qx, qy, qz = (px if dx <= 0.0 else px - 1.0), (py if dy <= 0.0 else py - 1.0), (pz if dz <= 0.0 else pz - 1.0)
-    before = FAR
     while True:
+        before = FAR
         ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
         iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
         iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
         tx, ty, tz = (ix - qx) * inverse_x, (iy - qy) * inverse_y, (iz - qz) * inverse_z
         while skip[ix + 8 * iy + 64 * iz] == 0:
             t_out = min(tx, ty, tz)
-            base = ix + 9 * iy + 81 * iz
-            occupied = corners[ix + 8 * iy + 64 * iz]
-            ax, ay, az = px - ix, py - iy, pz - iz
-            x, y, z = ax + t_out * dx, ay + t_out * dy, az + t_out * dz
-            if t_out == tx:
-                x, face = (1.0, 0b10101010) if dx > 0.0 else (0.0, 0b01010101)
-            elif t_out == ty:
-                y, face = (1.0, 0b11001100) if dy > 0.0 else (0.0, 0b00110011)
-            else:
-                z, face = (1.0, 0b11110000) if dz > 0.0 else (0.0, 0b00001111)
-            after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, outward)
-            nx, ny, nz, opaque = outward[3], outward[4], outward[5], outward[6]
-            t_last = t_out
-            if after == FAR:
-                t_last = t + NEAR_END * (t_out - t)
-                x, y, z = ax + t_last * dx, ay + t_last * dy, az + t_last * dz
-                after = surface_at(occupied, plane, base, x, y, z, ux, uy, uz, outward)
-                nx, ny, nz, opaque = outward[3], outward[4], outward[5], 0.0
-            if after <= 0.0:
-                if before == FAR:
-                    before = surface_at(
-                        occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, outward
-                    )
-                if before > 0.0:
-                    grazed[4] = refine_hit(
-                        occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, min(before, MAX_DISTANCE),
-                        t_last, after, outward,
-                    )  # fmt: skip
-                    opaque = outward[6]
-                elif grazed[4] == FAR:
-                    grazed[4] = t_last
-                if opaque > opacity:
-                    hit[0], hit[1], hit[2] = grazed[4], number, base
-                    return True
-                grazed[1] = FAR
-            else:
-                grazed[4] = FAR
-                if after < grazed[1]:
-                    grazed[0], grazed[1], grazed[2], grazed[3] = t_last, after, number, base
-            before, t = after if t_last == t_out else FAR, t_out
-            if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
-                outward[0], outward[1], outward[2] = nx, ny, nz
-            if t_out == tx:
+            axis = 0 if t_out == tx else (1 if t_out == ty else 2)
+            before, hit = pass_cube(
+                corners[ix + 8 * iy + 64 * iz], axis, plane, ix + 9 * iy + 81 * iz, px - ix, py - iy, pz - iz,
+                dx, dy, dz, ux, uy, uz, t, t_out, before, opacity, passed, outward,
+            )  # fmt: skip
+            if hit < FAR:
+                return hit
+            t = t_out
+            if axis == 0:
                 ix += step_x
                 tx = (ix - qx) * inverse_x
-            elif t_out == ty:
+            elif axis == 1:
                 iy += step_y
                 ty = (iy - qy) * inverse_y
             else:
                 iz += step_z
                 tz = (iz - qz) * inverse_z
             if t >= t_end or min(ix, iy, iz) < 0 or max(ix, iy, iz) > 7:
-                return False
-        before = FAR
-        if is_stopped(grazed[1], outward, ux, uy, uz):
-            hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
-            return True
-        grazed[1] = grazed[4] = FAR
-        face_ray(outward, ux, uy, uz)
+                return FAR
+        if is_stopped(passed[1], outward, ux, uy, uz):
+            return passed[0]
+        begin_neighbourhood(passed, outward, ux, uy, uz)
         t = max(min(tx, ty, tz), t + (skip[ix + 8 * iy + 64 * iz] - 1) * leap) + 1e-9 * leap
         if t >= t_end:
-            return False
+            return FAR
 
 
 @kernel
@@ -296,7 +312,7 @@ def cast_rays(
     """
     root_origin, root, supers = tables
     T = T_cells_camera
-    grazed, hit, outward = np.empty(5), np.empty(3), np.empty(7)
+    passed, outward = np.empty(3), np.empty(7)
     for n in range(start, stop):
         r = order[n]
         sx, sy = rays[r, 0], rays[r, 1]
@@ -312,9 +328,9 @@ def cast_rays(
         dx, dy, dz = away_from_zero(dx), away_from_zero(dy), away_from_zero(dz)
         inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
         nudge = 1e-6 * min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
-        grazed[1] = grazed[4] = FAR
         norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-        face_ray(outward, dx * norm, dy * norm, dz * norm)
+        ux, uy, uz = dx * norm, dy * norm, dz * norm
+        begin_neighbourhood(passed, outward, ux, uy, uz)
         while t < t_far:
             at = t + nudge
             bx = np.int64(np.floor((ox + at * dx) / 8.0))
@@ -327,18 +343,19 @@ def cast_rays(
                 (((by >> shift) + (dy > 0.0)) * size - oy) * inverse_y,
                 (((bz >> shift) + (dz > 0.0)) * size - oz) * inverse_z,
             )
-            stopped = False
+            hit = FAR
             if number >= 0:
-                stopped = cast_in_block(
+                hit = cast_in_block(
                     ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, inverse_x, inverse_y, inverse_z, at, leave,
-                    skip[number], corners[number], plane[number], opacity, number, grazed, hit, outward,
+                    skip[number], corners[number], plane[number], opacity, passed, outward,
                 )  # fmt: skip
-            elif is_stopped(grazed[1], outward, dx * norm, dy * norm, dz * norm):
-                hit[0], hit[1], hit[2] = grazed[0], grazed[2], grazed[3]
-                stopped = True
-            if stopped:
-                if hit[0] < t_far:
-                    depth[r] = hit[0]
+            elif is_stopped(passed[1], outward, ux, uy, uz):
+                hit = passed[0]
+            else:
+                begin_neighbourhood(passed, outward, ux, uy, uz)
+            if hit < FAR:
+                if hit < t_far:
+                    depth[r] = hit
                     labels[r] = label
                 break
             t = max(leave, at)
