@@ -29,27 +29,29 @@ class RayGrid:
 
     Attributes
     ----------
-    width, height, fx
-        Number of rays along each side, and focal length in rays.
+    width, height
+        Number of rays along each side.
     slopes
         (n, 2) float64 undistorted slopes, row by row.
     order
         Numbers of all rays, packet by packet: neighbours meet the same blocks while these are at hand.
-    sparse
-        Those at even rows and columns.
-    sparsest
-        Those of them whose row and column are both, or neither, multiples of four.
+    levels
+        The same numbers, by the step in which they are cast or interpolated: of those at multiples of 4 half, like
+        one colour of a chessboard, then the other half; half and half of the rest of those at multiples of 2; others.
     origin, size
         (2,) first corner and extent of a tile.
     """
 
     def __init__(self, camera: Camera, supersample: int = 1) -> None:
         fine = camera.resized(camera.width * supersample, camera.height * supersample) if supersample > 1 else camera
-        self.width, self.height, self.fx = fine.width, fine.height, fine.fx
+        self.width, self.height = fine.width, fine.height
         rows, columns = np.divmod(np.arange(fine.width * fine.height), fine.width)
         self.order = np.lexsort((columns, rows, columns // PACKET_SIDE, rows // PACKET_SIDE))
-        self.sparse = self.order[(rows[self.order] | columns[self.order]) & 1 == 0]
-        self.sparsest = self.sparse[((rows ^ columns)[self.sparse] & 2) == 0]
+        level = np.full(len(rows), 4)
+        for step, stage in ((2, 2), (4, 0)):
+            on = (rows | columns) % step == 0
+            level[on] = stage + (((rows ^ columns)[on] & step) != 0)
+        self.levels = [self.order[level[self.order] == stage] for stage in range(5)]
         self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
         low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
         self.origin = low

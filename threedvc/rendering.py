@@ -18,7 +18,7 @@ from threedvc.block_index import BLOCK_CELLS, BlockIndex
 from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
 from threedvc.kernels.hole_filling import pull, push
-from threedvc.kernels.ray_sampling import interpolate_between, interpolate_diamonds
+from threedvc.kernels.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
 from threedvc.kernels.raycast import OPACITY, cast_rays
 from threedvc.kernels.render_blocks import build_block
 from threedvc.kernels.shading import relight, shade, shade_from_picture
@@ -32,9 +32,14 @@ __all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unkn
 
 BORDERED_CELLS = 9**3
 SMALL_PICTURE = 320 * 240
-MIN_RAYS_PER_CELL = 2.5
-MIN_RAYS_PER_DIAMOND = 3.0
 SAME_PLACE = 1e-9
+INTERPOLATIONS: dict[int, tuple[Callable[..., None], int]] = {
+    1: (interpolate_diamonds, 4),
+    2: (interpolate_centres, 2),
+    3: (interpolate_diamonds, 2),
+    4: (interpolate_between, 1),
+}
+"""How rays of each but the first of `RayGrid.levels` are interpolated, and how far away from each other."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -218,7 +223,7 @@ class Renderer:
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Find what every ray meets first.
 
-        Of every second ray of every second row half are cast at first, then those between that cannot be interpolated.
+        One ray of 32 is cast at first, then those between that cannot be interpolated, see `RayGrid.levels`.
 
         Returns
         -------
@@ -235,39 +240,30 @@ class Renderer:
             for number in sorted(poses)
             if models[number].index.count and not models[number].model.guessed
         ]
-        for cast in casts:
-            cast(rays.sparsest)
-        shown = [
-            models[number].model.voxel_size_m
-            for number in poses
-            if models[number].index.count and not models[number].model.guessed
-        ]
-        width = _rays_per_cell(min(shown), depth[rays.sparsest], rays.fx) if shown else 0.0
-        wanted = np.zeros(count, dtype=np.uint8)
-        if width >= MIN_RAYS_PER_DIAMOND:
-
-            def diamonds(start: int, stop: int) -> None:
-                interpolate_diamonds(start, stop, rays.width, rays.height, depth, labels, wanted)
-
-            for_ranges(diamonds, (rays.height + 1) // 2, self.config.threads)
-        else:
-            wanted[rays.sparse] = 1
-            wanted[rays.sparsest] = 0
-        rest = rays.sparse[wanted[rays.sparse] != 0]
-        for cast in casts:
-            cast(rest)
-        wanted[:] = 1
-        wanted[rays.sparse] = 0
-        if width >= MIN_RAYS_PER_CELL:
-
-            def between(start: int, stop: int) -> None:
-                interpolate_between(start, stop, rays.width, rays.height, depth, labels, wanted)
-
-            for_ranges(between, (rays.height + 1) // 2, self.config.threads)
-        rest = rays.order[wanted[rays.order] != 0]
-        for cast in casts:
-            cast(rest)
+        wanted = np.ones(count, dtype=np.uint8)
+        for level, order in enumerate(rays.levels):
+            if level:
+                self._interpolate(level, rays, depth, labels, wanted)
+            for cast in casts:
+                cast(order[wanted[order] != 0])
         return depth, labels
+
+    def _interpolate(
+        self,
+        level: int,
+        rays: RayGrid,
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+        wanted: NDArray[np.uint8],
+    ) -> None:
+        """Interpolate rays of a level amid those of the levels before, and tell in `wanted` which have to be cast."""
+        interpolate, reach = INTERPOLATIONS[level]
+        rows = rays.height // reach + 1 if interpolate is interpolate_diamonds else rays.height // (2 * reach) + 1
+
+        def row_range(start: int, stop: int) -> None:
+            interpolate(start, stop, rays.width, rays.height, reach, depth, labels, wanted)
+
+        for_ranges(row_range, rows, self.config.threads)
 
     def cast_guessed(
         self,
@@ -396,12 +392,6 @@ class Renderer:
         if gain is not None:
             value = value * gain[0] + gain[1]
         return np.asarray(np.clip(value, 0, 255) + np.float32(0.5)).astype(np.uint8)
-
-
-def _rays_per_cell(voxel_size_m: float, depth: NDArray[np.float32], fx: float) -> float:
-    """Return how many rays wide a cell is at the median depth of the hits."""
-    hits = depth[depth > 0]
-    return voxel_size_m * fx / float(np.median(hits)) if len(hits) else 0.0
 
 
 def fill_unknown(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Spend rays where the picture needs them: every second pixel first, between them only at edges."""
+"""Spend rays where the picture needs them: a few first, between them only where they do not tell of one surface.
+
+On a plane the inverse depth is linear in the picture, so it is interpolated exactly.
+"""
 
 from __future__ import annotations
 
 from threedvc.kernels import kernel
 
-__all__ = ["interpolate_between", "interpolate_diamonds"]
+__all__ = ["interpolate_between", "interpolate_centres", "interpolate_diamonds"]
 
-MAX_DEPTH_STEP = 0.02
-MAX_BEND = 0.004
+MAX_DEPTH_STEP = 0.04
+MAX_BEND = 0.003
 
 
 @kernel
@@ -27,72 +30,89 @@ def is_smooth(depth, labels, a, b, c, d):
 
 
 @kernel
-def interpolate_diamonds(start, stop, width, height, depth, labels, wanted):
-    """Interpolate rays at even rows and columns between four that are cast, and say which have to be cast.
+def interpolate_or_want(depth, labels, wanted, place, a, b, c, d):
+    """Interpolate a ray amid four at the corners of a square around it, or want it cast."""
+    wanted[place] = 1
+    if not is_smooth(depth, labels, a, b, c, d):
+        return
+    wanted[place] = 0
+    if depth[a] > 0.0:
+        depth[place] = 4.0 / (1.0 / depth[a] + 1.0 / depth[b] + 1.0 / depth[c] + 1.0 / depth[d])
+        labels[place] = labels[a]
 
-    Cast are those whose row and column are both, or neither, multiples of four; the others have four of them
-    around at a distance of two.
+
+@kernel
+def interpolate_centres(start, stop, width, height, reach, depth, labels, wanted):
+    """Interpolate rays amid four at a distance of `reach` to both sides, above and below, or want them cast.
+
+    These are at the rows and columns that are odd multiples of `reach`; their neighbours are at even ones.
 
     Parameters
     ----------
     start, stop
-        Range of even rows, counted from 0.
+        Range of such rows.
     depth, labels
         (width * height,) float32 and uint8, updated.
     wanted
-        (width * height,) uint8: set where a ray has to be cast.
+        (width * height,) uint8: 1 where a ray has to be cast, 0 where one is interpolated.
     """
-    for row in range(2 * start, min(2 * stop, height), 2):
-        for column in range(2 - (row & 2), width, 4):
+    for n in range(start, stop):
+        row = (2 * n + 1) * reach
+        if row >= height:
+            break
+        for column in range(reach, width, 2 * reach):
             place = row * width + column
             wanted[place] = 1
-            if row < 2 or column < 2 or row + 2 >= height or column + 2 >= width:
-                continue
-            above, below, left, right = place - 2 * width, place + 2 * width, place - 2, place + 2
-            if not is_smooth(depth, labels, above, left, right, below):
-                continue
-            wanted[place] = 0
-            if depth[above] > 0.0:
-                inverse = 1.0 / depth[above] + 1.0 / depth[below] + 1.0 / depth[left] + 1.0 / depth[right]
-                depth[place] = 4.0 / inverse
-                labels[place] = labels[above]
+            if row + reach < height and column + reach < width:
+                above, below = place - reach * width, place + reach * width
+                interpolate_or_want(
+                    depth, labels, wanted, place, above - reach, above + reach, below - reach, below + reach
+                )
 
 
 @kernel
-def interpolate_between(start, stop, width, height, depth, labels, wanted):
-    """Interpolate the rays between those at even rows and columns, and say which have to be cast.
+def interpolate_diamonds(start, stop, width, height, reach, depth, labels, wanted):
+    """Interpolate rays amid four at a distance of `reach` above, below, left and right, or want them cast.
 
-    Squares ``start..stop`` in rows of squares: the corners are cast already. On a plane the inverse depth
-    is linear in the picture, so it is interpolated exactly.
-
-    Parameters
-    ----------
-    depth, labels
-        (width * height,) float32 and uint8, updated.
-    wanted
-        (width * height,) uint8: set where a ray has to be cast, cleared elsewhere.
+    These are at the rows and columns of which one is an odd, the other an even multiple of `reach`. Parameters are
+    those of `interpolate_centres`.
     """
-    for row in range(2 * start, min(2 * stop, height), 2):
-        for column in range(0, width, 2):
+    for n in range(start, stop):
+        row = n * reach
+        if row >= height:
+            break
+        for column in range(reach if n % 2 == 0 else 0, width, 2 * reach):
+            place = row * width + column
+            wanted[place] = 1
+            if row >= reach and column >= reach and row + reach < height and column + reach < width:
+                above, below = place - reach * width, place + reach * width
+                interpolate_or_want(depth, labels, wanted, place, above, place - reach, place + reach, below)
+
+
+@kernel
+def interpolate_between(start, stop, width, height, reach, depth, labels, wanted):
+    """Interpolate the rays between those at even multiples of `reach`, or want them cast.
+
+    Squares ``start..stop`` in rows of squares: the corners are known already. Parameters are those of
+    `interpolate_centres`.
+    """
+    for row in range(2 * reach * start, min(2 * reach * stop, height), 2 * reach):
+        for column in range(0, width, 2 * reach):
             a = row * width + column
-            wanted[a] = 0
-            right, below = column + 1 < width, row + 1 < height
-            inside = column + 2 < width and row + 2 < height
-            smooth = False
-            if inside:
-                b, c = a + 2, a + 2 * width
-                smooth = is_smooth(depth, labels, a, b, c, c + 2)
+            b, c = a + 2 * reach, a + 2 * reach * width
+            beside, under = a + reach, a + reach * width
+            right, below = column + reach < width, row + reach < height
+            inside = column + 2 * reach < width and row + 2 * reach < height
+            smooth = inside and is_smooth(depth, labels, a, b, c, c + 2 * reach)
             if right:
-                wanted[a + 1] = not smooth
+                wanted[beside] = not smooth
             if below:
-                wanted[a + width] = not smooth
+                wanted[under] = not smooth
             if right and below:
-                wanted[a + width + 1] = not smooth
+                wanted[under + reach] = not smooth
             if not smooth or depth[a] <= 0.0:
                 continue
-            d = c + 2
-            wa, wb, wc, wd = 1.0 / depth[a], 1.0 / depth[b], 1.0 / depth[c], 1.0 / depth[d]
-            depth[a + 1], depth[a + width] = 2.0 / (wa + wb), 2.0 / (wa + wc)
-            depth[a + width + 1] = 4.0 / (wa + wb + wc + wd)
-            for place in (a + 1, a + width, a + width + 1):
-                labels[place] = labels[a]
+            wa, wb, wc, wd = 1.0 / depth[a], 1.0 / depth[b], 1.0 / depth[c], 1.0 / depth[c + 2 * reach]
+            depth[beside], depth[under] = 2.0 / (wa + wb), 2.0 / (wa + wc)
+            depth[under + reach] = 4.0 / (wa + wb + wc + wd)
+            labels[beside] = labels[under] = labels[under + reach] = labels[a]
