@@ -307,33 +307,32 @@ class RunHeader(Header):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelHeader(Header):
+class PartHeader(Header):
+    """Base of the headers of what is told of one object before `frame` is drawn."""
+
+    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelHeader(PartHeader):
     """A model update, applied before `frame` is drawn."""
 
     packet_type: ClassVar[PacketType] = PacketType.MODEL
 
-    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
-    frame: int = key("f", integer(0, MAX_FRAME))
-
 
 @dataclass(frozen=True, kw_only=True)
-class ReliefHeader(Header):
+class ReliefHeader(PartHeader):
     """Relief of all cells of an object that have none yet, after its update of the same frame."""
 
     packet_type: ClassVar[PacketType] = PacketType.RELIEF
 
-    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
-    frame: int = key("f", integer(0, MAX_FRAME))
-
 
 @dataclass(frozen=True, kw_only=True)
-class TextureHeader(Header):
+class TextureHeader(PartHeader):
     """Colours of the texels of all cells of an object that have none yet, after its update of the same frame."""
 
     packet_type: ClassVar[PacketType] = PacketType.TEXTURE
-
-    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
-    frame: int = key("f", integer(0, MAX_FRAME))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,13 +362,10 @@ class BackdropHeader(Header):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightHeader(Header):
+class LightHeader(PartHeader):
     """The light on an object from `frame` on; it stands still in the world while the object turns."""
 
     packet_type: ClassVar[PacketType] = PacketType.LIGHT
-
-    object_id: int = key("o", integer(0, MAX_OBJECT_ID), default=0)
-    frame: int = key("f", integer(0, MAX_FRAME))
 
 
 @dataclass(frozen=True, kw_only=True)
