@@ -44,7 +44,7 @@ class Thinned:
         while stride is None and full.width * full.height > TRACKING_PIXELS * self.stride**2:
             self.stride += 1
         self.camera: Camera = full.every(self.stride)
-        self.grid = RayGrid(self.camera)
+        self.grid = RayGrid(self.camera, apart=True)
         self._slopes = full.rays()
 
     def thin(self, picture: NDArray[Scalar]) -> NDArray[Scalar]:

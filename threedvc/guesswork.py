@@ -75,7 +75,10 @@ def guess_surfaces(
     stride = max(1, round(np.sqrt(rig.color.width * rig.color.height / RAYS)))
     size = max(WIDTH * models[0].model.voxel_size_m, RAYS_PER_CELL * stride * distance_m / rig.color.fx)
     guessed = RenderModel(DecodedModel(size, guessed=True))
-    rays, renderer = RayGrid(rig.color.every(stride)), Renderer(rig, RenderConfig(supersample=1, threads=threads))
+    rays, renderer = (
+        RayGrid(rig.color.every(stride), apart=True),
+        Renderer(rig, RenderConfig(supersample=1, threads=threads)),
+    )
     seen: list[NDArray[np.int32]] = [np.empty(0, dtype=np.int32)]
     number = max(models) + 1
     for frame, poses, T_shifted_camera in views:

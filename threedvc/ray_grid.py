@@ -26,6 +26,8 @@ class RayGrid:
         The camera.
     supersample
         Rays along each side of a pixel.
+    apart
+        Whether rays are too far apart to tell of what is between them: then all of them are of the first level.
 
     Attributes
     ----------
@@ -42,7 +44,7 @@ class RayGrid:
         (2,) first corner and extent of a tile.
     """
 
-    def __init__(self, camera: Camera, supersample: int = 1) -> None:
+    def __init__(self, camera: Camera, supersample: int = 1, *, apart: bool = False) -> None:
         fine = camera.resized(camera.width * supersample, camera.height * supersample) if supersample > 1 else camera
         self.width, self.height = fine.width, fine.height
         rows, columns = np.divmod(np.arange(fine.width * fine.height), fine.width)
@@ -51,7 +53,7 @@ class RayGrid:
         for step, stage in ((2, 2), (4, 0)):
             on = (rows | columns) % step == 0
             level[on] = stage + (((rows ^ columns)[on] & step) != 0)
-        self.levels = [self.order[level[self.order] == stage] for stage in range(5)]
+        self.levels = [self.order] if apart else [self.order[level[self.order] == stage] for stage in range(5)]
         self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
         low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
         self.origin = low

@@ -49,6 +49,11 @@ def test_every_ray_is_in_one_level(size: tuple[int, int]) -> None:
     assert len(rays.levels) == len(INTERPOLATIONS) + 1
 
 
+def test_rays_that_are_far_apart_are_all_cast() -> None:
+    rays = RayGrid(Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32, cy=24), apart=True)
+    assert Sampling(rays, plane(rays)).cast.all()
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_a_plane_comes_out_exactly(size: tuple[int, int]) -> None:
     rays = grid(*size)
