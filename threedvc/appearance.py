@@ -35,7 +35,7 @@ from threedvc.kernels.shading import LEAST_LIGHT, LIGHT_TERMS, find_normals, lig
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.parallel import for_ranges
-from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.pose import Pose, compose, inverse, make_pose, rotation_from_vector
 from threedvc.ray_grid import RayGrid
 from threedvc.readout import Surface
 from threedvc.rendering import Renderer, RenderModel
@@ -159,7 +159,7 @@ class ColorField:
         model = self.models[number].model
         cells, colors = model.cells()
         if model.texture is None:
-            return cells, _rounded(self.values[self._numbers[number][model.index.locate(cells)]])
+            return cells, _rounded(self.values[self.numbers_of(number, cells)])
         texels, values = self._texels(number)
         owners = model.index.locate(texels // model.texture.scale)
         count = np.bincount(owners, minlength=model.occupied.size)
@@ -168,9 +168,13 @@ class ColorField:
         means = sums[here] / np.maximum(count[here], 1)[:, None]
         return cells, np.where(count[here][:, None] > 0, _rounded(means), colors)
 
+    def numbers_of(self, number: int, cells: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the numbers (n,) of cells (n, 3) of an object without texels."""
+        return self._numbers[number][self.models[number].model.index.locate(cells)]
+
     def recolor(self, number: int, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> None:
         """Set the colours (n, 3) of cells (n, 3) of an object without texels."""
-        self.values[self._numbers[number][self.models[number].model.index.locate(cells)]] = colors
+        self.values[self.numbers_of(number, cells)] = colors
 
     def texel_colors(self, number: int, texels: NDArray[np.int32], default: NDArray[np.int16]) -> NDArray[np.int16]:
         """Return the colours (n, 3) of texels (n, 3); `default` where the field has none."""
@@ -288,7 +292,7 @@ class Sampler:
         camera = rig.color
         self._stride = max(1, int(np.ceil(np.sqrt(camera.width * camera.height / pixels))))
         offsets = sorted({(x % self._stride, y % self._stride) for x, y in PHASES})
-        self._grids = [(x, y, RayGrid(camera.every(self._stride, x, y))) for x, y in offsets]
+        self._grids = [(x, y, RayGrid(camera.every(self._stride, x, y), apart=True)) for x, y in offsets]
         self._renderer = Renderer(rig, RenderConfig(supersample=1, threads=threads))
 
     @property
@@ -477,7 +481,6 @@ def aligned_pose(
     points: Doubles,
     luma: Doubles,
     *,
-    T_shifted_camera: Pose,
     sensor: SensorModel,
 ) -> Pose:
     """Move an object so that its points fit the frame's picture and depth.
@@ -492,8 +495,6 @@ def aligned_pose(
         The pose to start from.
     points, luma
         (n, 3) points of the object in metres, and (n,) their luma.
-    T_shifted_camera
-        Shift of the depth camera between depth and colour picture.
     sensor
         Noise of the depth.
 
@@ -502,7 +503,7 @@ def aligned_pose(
     Pose
         The start where there are too few points.
     """
-    return _aligned(frame, rig, T_camera_object, points, luma, T_shifted_camera, sensor, None)
+    return _aligned(frame, rig, T_camera_object, points, luma, sensor, None)
 
 
 def aligned_shift(
@@ -510,7 +511,7 @@ def aligned_shift(
 ) -> Pose:
     """Return the shift of the depth camera with which points fit the picture alone; see `aligned_pose`."""
     start = compose(T_shifted_camera, T_camera_object)
-    end = _aligned(frame, rig, start, points, luma, identity(), None, T_camera_object)
+    end = _aligned(frame, rig, start, points, luma, None, T_camera_object)
     return compose(end, inverse(T_camera_object))
 
 
@@ -520,7 +521,6 @@ def _aligned(
     pose: Pose,
     points: Doubles,
     luma: Doubles,
-    T_shifted_camera: Pose,
     sensor: SensorModel | None,
     anchor: Pose | None,
 ) -> Pose:
@@ -528,7 +528,6 @@ def _aligned(
     if len(points) < MIN_POINTS:
         return pose
     picture = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    T_color_camera = compose(rig.T_color_depth, T_shifted_camera)
     gain, offset = 1.0, 0.0
     for blur in BLURS_PX:
         smooth = cv2.GaussianBlur(picture, (0, 0), blur)
@@ -536,8 +535,8 @@ def _aligned(
         for _ in range(POSE_STEPS):
             matrix, side = np.zeros((8, 8)), np.zeros(8)
             total, count = add_luma_equations(
-                points, luma, pose, T_color_camera, rig.color.parameters(), smooth, slopes[0], slopes[1], gain, offset,
-                LUMA_OUTLIER, matrix, side,
+                points, luma, pose, rig.T_color_depth, rig.color.parameters(), smooth, slopes[0], slopes[1], gain,
+                offset, LUMA_OUTLIER, matrix, side,
             )  # fmt: skip
             share = 1 / (SAMPLES_PER_WITNESS * max(total / max(count, 1.0), LUMA_NOISE**2))
             matrix, side = matrix * share, side * share

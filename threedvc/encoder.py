@@ -20,10 +20,11 @@ from threedvc.config import EncoderConfig, with_step
 from threedvc.decoder import Decoder
 from threedvc.emitter import Emitter
 from threedvc.errors import CorruptStream, SequenceError
-from threedvc.finishing import Finish, align, finish, trial_error
+from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
 from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
+from threedvc.pose import Pose, compose, inverse
 from threedvc.rate_control import (
     CLOSE,
     FINER,
@@ -34,7 +35,8 @@ from threedvc.rate_control import (
     stream_bytes,
     surface_room,
 )
-from threedvc.refinement import calibrated_rig, refined_script
+from threedvc.refinement import calibrated_rig, depth_misfit, refined_script
+from threedvc.registration import RegistrationConfig
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
 from threedvc.trials import cheap_relief, surface_bytes
@@ -43,6 +45,13 @@ __all__ = ["Encoder", "OnFrame", "verified"]
 
 FILE_GROUP_S = 2
 TRIAL_FRAMES = 100
+DEPTH_ROUNDS = 3
+WORTHWHILE_ROUND = 0.98
+TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.15, rest_pixels=0.01, move_pixels=0.01)
+"""Registration with the depth: luma counts little, but where the depth leaves a direction open. It refines poses that
+are about right, so whatever is not lost may be trusted."""
+WORTHWHILE_SHIFTS = 0.06
+"""Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
 LEAST_CELL_FACTOR = 0.45
 """Cells narrower than about two pixels are not tried: a decoder would draw them slowly."""
 OnFrame: TypeAlias = Callable[[FrameReport], None]
@@ -166,14 +175,31 @@ class Encoder:
                 self.scene = Scene(replace(self.info, rig=rig), self.config, known)
                 self._fuse_all(frames, on_frame)
             self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
-            self._try_cells(frames, on_frame)
-            self._choose_relief()
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
-                script, shifts = align(self.scene, frames, self.config.appearance.rounds)
-                self._fuse_again(frames, on_frame, script)
-        else:
-            self._choose_relief()
+                shifts = self._align(frames, on_frame)
+            self._try_cells(frames, on_frame, shifts)
+        self._choose_relief()
         return finish(self.scene, frames, shifts)
+
+    def _align(self, frames: FrameSequence, on_frame: OnFrame | None) -> list[Pose] | None:
+        """Move the camera to where pictures fit best; return the shifts of the colour pictures if there are to be any.
+
+        Poses that fit colour and depth serve both, unless the depth alone wants clearly other ones.
+        """
+        rounds = self.config.appearance.rounds
+        self._fuse_again(frames, on_frame, align(self.scene, frames, rounds))
+        if not self.scene.may_move(0):
+            return None
+        together, reports = self.scene, self.reports
+        misfits = [depth_misfit(together, frames)]
+        while len(misfits) <= DEPTH_ROUNDS and (len(misfits) < 2 or misfits[-1] < WORTHWHILE_ROUND * misfits[-2]):
+            self._fuse_again(frames, on_frame, refined_script(self.scene, frames, TO_DEPTH))
+            misfits.append(depth_misfit(self.scene, frames))
+        if misfits[-1] > (1 - WORTHWHILE_SHIFTS) * misfits[0]:
+            self.scene, self.reports = together, reports
+            return None
+        poses = zip(together.objects[0].poses, self.scene.objects[0].poses, strict=True)
+        return align_pictures(self.scene, frames, [compose(both, inverse(depth)) for both, depth in poses], rounds)
 
     @property
     def _cell_room(self) -> float | None:
@@ -191,7 +217,7 @@ class Encoder:
             if factor != 1:
                 self._take_cells(frames, on_frame, factor)
 
-    def _try_cells(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+    def _try_cells(self, frames: FrameSequence, on_frame: OnFrame | None, shifts: Sequence[Pose] | None) -> None:
         """Take those cells that draw the best pictures at the bit rate; among nearly equal ones the narrowest."""
         room = self._cell_room
         if room is None:
@@ -208,7 +234,7 @@ class Encoder:
             scene = Scene(self.scene.info, config, script)
             for frame in some:
                 scene.add(frame)
-            return trial_error(scene, some, room)
+            return trial_error(scene, some, shifts and shifts[::step], room)
 
         factor = best_cells(tried)
         if factor != 1:

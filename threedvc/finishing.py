@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Fit a finished scene to the pictures that the decoder will draw of it: colours, gains, light, poses.
 
-`align` moves cameras and objects to where the drawn pictures fit the frames best; the frames are then fused anew
-at these poses, and `finish` fits what else the stream carries. `threedvc.appearance` has the mathematics.
+`align` moves the camera to where the drawn pictures fit colour and depth best, `align_pictures` the colour pictures
+alone; when the frames are fused anew at these poses, `finish` fits what else the stream carries.
+`threedvc.appearance` has the mathematics.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from threedvc.appearance import (
     LUMA,
     ColorField,
+    Doubles,
     FrameSamples,
     Sampler,
     aligned_pose,
@@ -27,32 +29,35 @@ from threedvc.appearance import (
 )
 from threedvc.backdrop import PictureChoice, background_picture
 from threedvc.coding.gains import NEUTRAL, apply_gain
-from threedvc.config import with_step
+from threedvc.config import RenderConfig, with_step
+from threedvc.evidence_view import Thinned
 from threedvc.frame import Frame, FrameSequence
 from threedvc.guesswork import Guess, guess_surfaces
-from threedvc.motion import Located
+from threedvc.motion import Script
 from threedvc.pose import Pose, identity, inverse
-from threedvc.readout import Surface, read_surface
+from threedvc.readout import REGION_SHIFT, Surface, read_surface
+from threedvc.refinement import misfit
+from threedvc.rendering import Renderer
 from threedvc.scene import Scene, SceneObject
 from threedvc.trials import color_settings, one_shot
 
-__all__ = ["Finish", "Script", "align", "finish", "trial_error"]
-
-Script = dict[int, list[Located | None]]
+__all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
 
 SAMPLES = 2_000_000
 TRIAL_SAMPLES = 500_000
 TRIAL_STEPS = (40.0, 24.0, 14.0, 8.0)
+DEPTH_SHARE = 0.25
+"""A tenth off the misfit of the depth counts as much as about a tenth of a decibel of colours."""
+DEPTH_FRAMES = 40
+LEAST_SIGHT = 0.05
+"""Share of the sight of the cells around that a cell needs; each of the others costs several times an average one."""
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
-SHIFT_ROUNDS = 2
 COLOR_FITS = 3
 LIGHT_FITS = 8
 TURNS_RAD = 0.2
 WORTHWHILE_GAIN = 0.01
 WORTHWHILE_ALIGNMENT = 0.02
 """Share of the squared error that other poses must save: exact ones are not to be moved by the noise of the fit."""
-WORTHWHILE_SHIFT = 0.06
-"""Share of the squared error that shifts must save: about a quarter of a decibel for some four bytes a frame."""
 BACKDROP_FRAMES = 80
 GUESS_FRAMES = 60
 MIN_GUESSED_CELLS = 32
@@ -91,35 +96,38 @@ class Finish:
     pixels_per_cell: float
 
 
-def align(scene: Scene, frames: FrameSequence, rounds: int) -> tuple[Script, list[Pose]]:
-    """Return where every object is in every frame, and the shifts of the colour pictures.
+def align(scene: Scene, frames: FrameSequence, rounds: int) -> Script:
+    """Return where every object is in every frame, as fits colour and depth.
 
-    Poses are aligned `rounds` times, each time against colours fitted at the poses before. They stay as they are,
-    and there are no shifts (all are the identity), unless the pictures fit better otherwise.
+    Poses are aligned `rounds` times, each time against colours fitted at the poses before. They stay as they are
+    unless the pictures fit better otherwise.
     """
     fit = _Fit(scene, frames, [identity()] * len(frames))
     fit.take_samples()
     fit.fit_colors()
-    script, error = fit.copied_script(), fit.log_error()
+    script, error = {number: list(found) for number, found in fit.script.items()}, fit.log_error()
     for _ in range(rounds):
         fit.take_samples(aligned=True)
         fit.fit_colors()
-    if fit.log_error() < error + np.log(1 - WORTHWHILE_ALIGNMENT):
-        script, error = fit.copied_script(), fit.log_error()
-    if not scene.may_move(0):
-        return script, fit.shifts
-    fit.may_shift = True
-    for _ in range(SHIFT_ROUNDS):
+    return fit.script if fit.log_error() < error + np.log(1 - WORTHWHILE_ALIGNMENT) else script
+
+
+def align_pictures(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose], rounds: int) -> list[Pose]:
+    """Return the shifts of the colour pictures, found in `rounds` from given ones; other poses stay."""
+    fit = _Fit(scene, frames, list(shifts))
+    fit.only_shifts = True
+    fit.take_samples()
+    fit.fit_colors()
+    for _ in range(rounds):
         fit.take_samples(aligned=True)
         fit.fit_colors()
-    if fit.log_error() < error + np.log(1 - WORTHWHILE_SHIFT):
-        return fit.script, fit.shifts
-    return script, [identity()] * len(frames)
+    return fit.shifts
 
 
 def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = None) -> Finish:
-    """Fit colours, light and gains at the scene's poses and at shifts that `align` has found."""
+    """Fit colours, light and gains at the scene's poses and at shifts that `align_pictures` has found."""
     fit = _Fit(scene, frames, list(shifts) if shifts is not None else [identity()] * len(frames))
+    fit.drop_hidden_cells()
     fit.guess_holes()
     fit.take_samples()
     fit.fit_colors()
@@ -136,19 +144,20 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
     )
 
 
-def trial_error(scene: Scene, frames: FrameSequence, room_bytes: float) -> float:
-    """Return about how large the squared error of pictures would be if surfaces took a number of bytes.
+def trial_error(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None, room_bytes: float) -> float:
+    """Return about how large the error of pictures would be if surfaces took a number of bytes.
 
     Returns
     -------
     float
-        Its logarithm, on an average over the frames.
+        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `misfit`.
     """
-    fit = _Fit(scene, frames, [identity()] * len(frames), TRIAL_SAMPLES)
+    fit = _Fit(scene, frames, list(shifts) if shifts is not None else [identity()] * len(frames), TRIAL_SAMPLES)
     fit.take_samples()
     fit.fit_colors()
     sizes, errors = zip(*map(fit.coded, TRIAL_STEPS), strict=True)
-    return float(np.interp(np.log(room_bytes), np.log(sizes), errors))
+    error = float(np.interp(np.log(room_bytes), np.log(sizes), errors))
+    return error + DEPTH_SHARE * float(np.log(fit.depth_misfit() + 1e-4))
 
 
 class _Fit:
@@ -164,7 +173,7 @@ class _Fit:
         self.colors = self._field()
         self.script: Script = {number: list(item.found) for number, item in scene.objects.items()}
         self.shifts = shifts
-        self.may_shift = False
+        self.only_shifts = False
         pixels = int(np.clip(most_samples // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
         self._every = -(-len(frames) * pixels // most_samples)
         self._sampler = Sampler(scene.info.rig, pixels, self._threads)
@@ -182,6 +191,27 @@ class _Fit:
             surfaces[number], sizes[number], scales[number] = guess.surface, guess.voxel_size_m, 1
             guessed = frozenset([number])
         return ColorField(surfaces, sizes, scales, self._threads, guessed, scene.config.appearance.relief_bits or 0)
+
+    def drop_hidden_cells(self) -> None:
+        """Drop cells that the frames show much less of than of others around: behind a surface, or beside it."""
+        thinned = Thinned(self._scene.info.rig)
+        renderer = Renderer(self._scene.info.rig, RenderConfig(threads=self._threads))
+        sizes = {number: item.evidence.voxel_size_m for number, item in self._scene.objects.items()}
+        field = ColorField(self._surfaces, sizes, dict.fromkeys(sizes, 1), self._threads)
+        shown = np.zeros(len(field.values))
+        for index in range(len(self._frames)):
+            poses = {} if self._scene.repeated[index] else self._poses(index)
+            depth, labels = renderer.cast(thinned.grid, field.models, poses)
+            points = np.column_stack([thinned.grid.slopes, np.ones(len(depth))]) * depth[:, None].astype(np.float64)
+            for number, pose in poses.items():
+                here, T = (labels == number) & (depth > 0), inverse(pose)
+                numbers, weights = field.corners(number, points[here] @ T[:3, :3].T + T[:3, 3])
+                shown += np.bincount(numbers.ravel(), weights.ravel(), len(shown))
+        for number, surface in self._surfaces.items():
+            if surface.cells.size:
+                seen = shown[field.numbers_of(number, surface.cells)]
+                self._surfaces[number] = surface.part(seen > LEAST_SIGHT * _regional_means(surface.cells, seen))
+        self.colors = self._field()
 
     def guess_holes(self) -> None:
         """Guess surfaces where the colour pictures of a moving camera show something and the model has nothing."""
@@ -219,10 +249,6 @@ class _Fit:
                 for index, sample in self._kept:
                     self._gains[index] = fit_gain(sample, sample.shown(self.colors), self._grey)
 
-    def copied_script(self) -> Script:
-        """Return where every object is, apart from what alignment does next."""
-        return {number: list(found) for number, found in self.script.items()}
-
     def log_error(self) -> float:
         """Return the logarithm of the squared error of the samples, on an average over the frames."""
         errors = [_error(sample, sample.shown(self.colors), gain) for sample, gain in self._samples()]
@@ -240,6 +266,18 @@ class _Fit:
         error = self.log_error()
         self.colors.values = fitted
         return total, error
+
+    def depth_misfit(self) -> float:
+        """Return the `misfit` of what is drawn, on an average over frames."""
+        rig, misfits = self._scene.info.rig, []
+        thinned, renderer = Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
+        for index in range(0, len(self._frames), -(-len(self._frames) // DEPTH_FRAMES)):
+            depth, _ = renderer.cast(thinned.grid, self.colors.models, self._poses(index))
+            measured = thinned.thin(self._scene.limited(self._frames[index]).depth).reshape(-1)
+            seen = (depth > 0) & (measured > 0)
+            if seen.any():
+                misfits.append(misfit(depth[seen], measured[seen]))
+        return float(np.mean(misfits)) if misfits else 0.0
 
     def surfaces(self) -> dict[int, Surface]:
         """Return the surfaces with the colours so far."""
@@ -294,7 +332,7 @@ class _Fit:
         return self._sampler.sample(frame, self.colors, self._poses(frame.index), self.shifts[frame.index])
 
     def _aligned(self, frame: Frame) -> FrameSamples:
-        """Align the objects that may move in a frame and its shift, then sample it."""
+        """Align the objects that may move in a frame, or its shift alone, then sample it."""
         scene, index = self._scene, frame.index
         sample = self._sample(frame)
         luma = (sample.shown(self.colors) @ LUMA).astype(np.float64)
@@ -304,14 +342,11 @@ class _Fit:
             if at is None or not at.usable or scene.is_given(item, at):
                 continue
             moved, here = True, sample.labels == number
-            points, shades = sample.points[here], luma[here]
-            pose = aligned_pose(
-                frame, scene.info.rig, at.T_camera_object, points, shades, T_shifted_camera=self.shifts[index],
-                sensor=scene.sensor,
-            )  # fmt: skip
-            self.script[number][index] = replace(at, T_camera_object=pose)
-            if number == 0 and self.may_shift:
-                self.shifts[index] = aligned_shift(frame, scene.info.rig, pose, points, shades, self.shifts[index])
+            view = frame, scene.info.rig, at.T_camera_object, sample.points[here], luma[here]
+            if not self.only_shifts:
+                self.script[number][index] = replace(at, T_camera_object=aligned_pose(*view, sensor=scene.sensor))
+            elif number == 0:
+                self.shifts[index] = aligned_shift(*view, self.shifts[index])
         return self._sample(frame) if moved else sample
 
     def _hold(self, index: int) -> None:
@@ -341,6 +376,13 @@ def _turns(scene: Scene, item: SceneObject) -> bool:
     world = scene.objects[0].poses
     turns = [inverse(world[k])[:3, :3] @ item.poses[k][:3, :3] for k, at in enumerate(item.found) if at is not None]
     return any(np.trace(turns[0].T @ turn) < 1 + 2 * np.cos(TURNS_RAD) for turn in turns)
+
+
+def _regional_means(cells: NDArray[np.int32], values: Doubles) -> Doubles:
+    """Return for each cell (n, 3) the mean of the values (n,) in its region of 16x16x16 cells."""
+    regions, member = np.unique(cells >> REGION_SHIFT, axis=0, return_inverse=True)
+    means = np.bincount(member, values, len(regions)) / np.bincount(member, minlength=len(regions))
+    return np.asarray(means[member], dtype=np.float64)
 
 
 def _error(sample: FrameSamples, shown: NDArray[np.float32], units: NDArray[np.int64]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypedDict
+from typing import TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,11 @@ from threedvc.evidence_view import FrameViews, cast_view
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, inverse, make_pose
-from threedvc.registration import ModelView, Status, register, rests
+from threedvc.registration import ModelView, RegistrationConfig, Status, register, rests
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
-__all__ = ["Located", "Tracker", "known_pose", "motion_of", "refined"]
+__all__ = ["Located", "Script", "Tracker", "known_pose", "motion_of", "refined"]
 
 SAME_SURFACE = 0.03
 
@@ -37,6 +37,10 @@ class Located:
     def usable(self) -> bool:
         """Whether the frame may be fused at this pose."""
         return self.status != Status.LOST
+
+
+Script: TypeAlias = dict[int, list[Located | None]]
+"""Where every object is in every frame, by number; None where it is not."""
 
 
 def motion_of(number: int, info: SequenceInfo, motion: Motion) -> Motion:
@@ -78,6 +82,7 @@ class _Options(TypedDict):
 
     sigma_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     threads: int
+    config: RegistrationConfig
 
 
 class Tracker:
@@ -122,7 +127,7 @@ class Tracker:
         last = self._poses[-1]
         guess = predict(*self._poses) if len(self._poses) > 1 else last
         view = self._as_last_seen(cast_view(model, thinned, last, self._threads), thinned.stride)
-        options = _Options(sigma_m=self._sensor.sigma_m, threads=self._threads)
+        options = _Options(sigma_m=self._sensor.sigma_m, threads=self._threads, config=RegistrationConfig())
         found = register_from_starts(depth, luma, mask, camera, view, guess, **options)
         if found.status is Status.LOST:
             return Located(T_camera_object=last, status=Status.LOST)
@@ -153,6 +158,7 @@ def refined(
     model: EvidenceModel,
     sensor: SensorModel,
     threads: int,
+    config: RegistrationConfig | None = None,
 ) -> Located:
     """Register a frame once more, against the finished model, from the pose that it was fused at.
 
@@ -161,7 +167,7 @@ def refined(
     thinned = views.form(mask)
     depth, luma, mask, camera = thinned.thin(views.frame.depth), views.luma(thinned), thinned.thin(mask), thinned.camera
     view = cast_view(model, thinned, at.T_camera_object, threads)
-    options = _Options(sigma_m=sensor.sigma_m, threads=threads)
+    options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
     found = register(depth, luma, mask, camera, view, at.T_camera_object, **options)
     if found.status is not Status.TRACKED:
         return at

@@ -8,22 +8,25 @@ What the decoder will draw is fitted to the pictures afterwards (`threedvc.finis
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threedvc.calibration import calibrate, sighting
 from threedvc.camera import CameraRig
-from threedvc.evidence_view import FrameViews
-from threedvc.frame import Frame, FrameSequence
-from threedvc.motion import Located, refined
+from threedvc.evidence_view import FrameViews, cast_view
+from threedvc.frame import FrameSequence
+from threedvc.motion import Located, Script, refined
 from threedvc.readout import read_surface
+from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
 from threedvc.segmentation import segment
 
-__all__ = ["calibrated_rig", "refined_script"]
+__all__ = ["calibrated_rig", "depth_misfit", "misfit", "refined_script"]
 
+MISFIT_FRAMES = 60
+MISFIT_SCALE = 0.01
 CALIBRATION_FRAMES = 40
 CALIBRATION_POINTS = 5000
 
@@ -49,19 +52,38 @@ def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
     return calibrate(scene.info.rig, sightings)
 
 
-def refined_script(
-    scene: Scene, frames: FrameSequence, on_frame: Callable[[Frame], None] | None = None
-) -> dict[int, list[Located | None]]:
+def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> Script:
     """Register every object in every frame once more; one that rests in the script goes on resting."""
-    script: dict[int, list[Located | None]] = {number: [] for number in scene.objects}
+    script: Script = {number: [] for number in scene.objects}
     for frame in map(scene.limited, frames):
         labels = segment(frame, scene.config.segmentation, scene.info)
         views = scene.views(frame)
         for number, item in scene.objects.items():
-            script[number].append(_refined(scene, item, views, labels == number, script[number]))
-        if on_frame is not None:
-            on_frame(frame)
+            script[number].append(_refined(scene, item, views, labels == number, script[number], config))
     return script
+
+
+def misfit(found: NDArray[np.floating], measured: NDArray[np.floating]) -> float:
+    """Return how badly depths (n,) meet measurements (n,), from 0 for exactly to 1; one per cent off counts a half."""
+    squares = (found / measured - 1) ** 2
+    return float(np.mean(squares / (squares + MISFIT_SCALE**2)))
+
+
+def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
+    """Return the `misfit` of the background's evidence at its poses, on an average over frames."""
+    item, misfits = scene.objects[0], []
+    for index in range(0, len(frames), -(-len(frames) // MISFIT_FRAMES)):
+        at = item.found[index]
+        if at is None or not at.usable:
+            continue
+        frame = scene.limited(frames[index])
+        mask = segment(frame, scene.config.segmentation, scene.info) == 0
+        form = scene.views(frame).form(mask)
+        view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads)
+        seen = form.thin(mask) & (form.thin(frame.depth) > 0) & (view.depth > 0)
+        if seen.any():
+            misfits.append(misfit(view.depth[seen], form.thin(frame.depth)[seen]))
+    return float(np.mean(misfits)) if misfits else 0.0
 
 
 def _refined(
@@ -70,6 +92,7 @@ def _refined(
     views: FrameViews,
     mask: np.ndarray[tuple[int, int], np.dtype[np.bool_]],
     before: list[Located | None],
+    config: RegistrationConfig | None,
 ) -> Located | None:
     at = item.found[views.frame.index]
     if at is None or not at.usable:
@@ -80,4 +103,4 @@ def _refined(
             return replace(at, T_camera_object=before[-1].T_camera_object)
     if scene.is_given(item, at):
         return at
-    return refined(at, views, mask, item.evidence, scene.sensor, scene.config.threads)
+    return refined(at, views, mask, item.evidence, scene.sensor, scene.config.threads, config)

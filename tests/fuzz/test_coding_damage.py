@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update, morton_order
+from threedvc.coding.relief import decode_relief, encode_relief
 from threedvc.errors import FormatError
 from threedvc.model_update import ModelUpdate
+from threedvc.object_model import DecodedModel
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)
@@ -73,6 +75,48 @@ def test_cut_payload(length: int) -> None:
 @given(st.integers(1, 255), st.integers(0, 60))
 def test_long_runs_of_one_byte(byte: int, length: int) -> None:
     decode_lawfully(bytes([byte]) * length * 20, CELLS, COLORS)
+
+
+def bare_model() -> DecodedModel:
+    """Return a sheet of cells whose relief is not told yet."""
+    model = DecodedModel(0.02, relief_bits=2)
+    sheet = ModelUpdate(
+        added=CELLS, added_colors=COLORS, removed=NO_CELLS, recolored=NO_CELLS, recolored_colors=NO_COLORS
+    )
+    model.apply(sheet)
+    return model
+
+
+RELIEF = encode_relief(bare_model(), np.random.default_rng(1).uniform(-0.6, 0.6, (len(CELLS), 3)).astype(np.float32))
+
+
+def shape_lawfully(payload: bytes) -> None:
+    """Decode a relief; either a FormatError is raised, or every cell has a level of its own."""
+    model = bare_model()
+    try:
+        decode_relief(payload, model)
+    except FormatError:
+        return
+    assert not len(model.untold_cells()[0])
+    model.fit_planes()
+    assert np.all(model.planes.reshape(-1, 4)[:, 3] <= 127)
+
+
+@given(st.binary(max_size=200))
+def test_random_relief(payload: bytes) -> None:
+    shape_lawfully(payload)
+
+
+@given(st.integers(0, len(RELIEF) - 1), st.integers(1, 255))
+def test_changed_byte_of_a_relief(position: int, change: int) -> None:
+    damaged = bytearray(RELIEF)
+    damaged[position] ^= change
+    shape_lawfully(bytes(damaged))
+
+
+@given(st.integers(0, len(RELIEF) - 1))
+def test_cut_relief(length: int) -> None:
+    shape_lawfully(RELIEF[:length])
 
 
 @given(st.binary(max_size=60), st.integers(0, 40))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import threedvc
-from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode
+from threedvc.config import AppearanceConfig, EncoderConfig, SegmentationConfig, SegmentationMode
 from threedvc.formats.api import DecodedFrame
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -28,6 +28,7 @@ CASES: dict[str, tuple[str, EncoderConfig]] = {
     "paper": ("paper", EncoderConfig(voxel_size_m=0.02, group_frames=4)),
     "objects": ("objects", EncoderConfig(voxel_size_m=0.02, segmentation=MASKS)),
     "room": ("room", EncoderConfig(voxel_size_m=0.04)),
+    "room_relief": ("room", EncoderConfig(voxel_size_m=0.05, appearance=AppearanceConfig(relief_bits=2))),
     "room_live": ("room", EncoderConfig(voxel_size_m=0.04, causal=True, group_frames=3)),
 }
 

@@ -7,6 +7,7 @@ import io
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ from threedvc.formats.container import StreamWriter
 from threedvc.packets import Packet, PacketType, type_name, unpack_batch
 from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.rate_control import stream_bytes
+from threedvc.readout import read_surface
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -194,8 +196,66 @@ def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
         assert after < 0.7 * before
 
 
-def test_a_steady_camera_has_no_shifts() -> None:
-    assert not members(encoded(scene("room", 10), FILE), PacketType.SHIFT)
+def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
+    sequence = scene("room", 12)
+    encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
+    list(encoder.packets(sequence))
+    item = encoder.scene.objects[0]
+    size, front = item.evidence.voxel_size_m, read_surface(item.evidence, 2, smooth=True).cells
+    # A wall of evidence that no frame can see: a copy of what is seen, set back by a metre.
+    away = np.rint(np.array([0.0, 0.0, 1.0]) / size).astype(np.int32)
+    T = item.poses[0]
+    behind = front + np.rint(T[:3, :3].T @ away).astype(np.int32)
+    evidence = item.evidence
+    positions = evidence.index.locate(front)
+    evidence.allocate(np.unique(behind >> 3, axis=0))
+    there = evidence.index.locate(behind)
+    free = evidence.distance_weight.reshape(-1)[there] == 0
+    for values in (evidence.distance, evidence.distance_weight, evidence.log_odds):
+        flat = values.reshape(-1)
+        flat[there[free]] = flat[positions[free]]
+    with_hidden = read_surface(evidence, 2, smooth=True)
+    kept = finish(encoder.scene, sequence).surfaces[0].cells
+    known, hidden = ({tuple(cell) for cell in cells.tolist()} for cells in (front, behind[free]))
+    read, left = ({tuple(cell) for cell in cells.tolist()} for cells in (with_hidden.cells, kept))
+    assert left <= read
+    assert len(known & left) > 0.97 * len(known)
+    planted = (hidden & read) - known
+    assert len(planted) > 100
+    assert len(planted & left) < 0.4 * len(planted), "a third of them stand beside what is seen"
+
+
+@pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
+def test_pictures_taken_when_the_depth_is_have_no_shifts(motion: Motion) -> None:
+    assert not members(encoded(scene("room", 10), replace(FILE, motion=motion)), PacketType.SHIFT)
+
+
+def test_pictures_taken_later_have_shifts_and_depth_keeps_its_poses() -> None:
+    sequence = scene("room", 16)
+    frames = [replace(frame, color=sequence.frames[frame.index + 3].color) for frame in sequence.frames[:-3]]
+    late = ListSequence(frames, replace(sequence.info, frame_count=len(frames)))
+    packets = encoded(late, FILE)
+    assert members(packets, PacketType.SHIFT)
+    decoder = Decoder()
+    states = list(decoder.frames(packets))
+    assert decoder.header is not None
+    true = [frame.T_world_camera for frame in frames if frame.T_world_camera is not None]
+    steps = [compose(inverse(a), b) for a, b in pairwise(true)]
+    way = float(np.mean([np.linalg.norm(T[:3, 3]) for T in steps]))
+    assert scatter([state.T_world_camera for state in states], late)[0] < 0.5 * way
+    # On the picture, its own pose is nearer to that three frames later than the one of the depth is.
+    rig, slopes = rig_of(decoder.header), late.info.rig.depth.rays()[8::16, 8::16].reshape(-1, 2)
+    before, after = [], []
+    for state, frame, T_true in zip(states, frames, true[3:], strict=False):
+        z = frame.depth[8::16, 8::16].reshape(-1)
+        seen = np.column_stack([slopes * z[:, None], z])[z > 0]
+        assert frame.T_world_camera is not None
+        T_late = compose(inverse(T_true), frame.T_world_camera)
+        with_depth, shifted = rig.T_color_depth, compose(rig.T_color_depth, state.T_shifted_camera)
+        wanted, one, other = (rig.color.project(seen @ T[:3, :3].T + T[:3, 3]) for T in (T_late, with_depth, shifted))
+        before.append(np.median(np.linalg.norm(one - wanted, axis=1)))
+        after.append(np.median(np.linalg.norm(other - wanted, axis=1)))
+    assert np.median(after) < 0.85 * np.median(before)
 
 
 @pytest.mark.parametrize("rate", [30e3, 90e3])
