@@ -54,6 +54,7 @@ LEAST_SIGHT = 0.05
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
 COLOR_FITS = 3
 LIGHT_FITS = 8
+FINAL_FITS = 12
 TURNS_RAD = 0.2
 WORTHWHILE_GAIN = 0.01
 WORTHWHILE_ALIGNMENT = 0.02
@@ -130,7 +131,7 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
     fit.drop_hidden_cells()
     fit.guess_holes()
     fit.take_samples()
-    fit.fit_colors()
+    fit.fit_colors(FINAL_FITS)
     gains = fit.steady_gains()
     backdrop = fit.backdrop(gains)
     return Finish(
@@ -238,9 +239,9 @@ class _Fit:
             if frame.index % self._every == 0:
                 self._kept.append((frame.index, replace(sample, points=sample.points[:0])))
 
-    def fit_colors(self) -> None:
-        """Fit colours, light and gains to the samples, in turn."""
-        fits = LIGHT_FITS if self._lit else COLOR_FITS
+    def fit_colors(self, fits: int = 0) -> None:
+        """Fit colours, light and gains to the samples, in turn, `fits` times or as often as does for a start."""
+        fits = fits or (LIGHT_FITS if self._lit else COLOR_FITS)
         for fit in range(fits if self._kept else 0):
             fit_colors(self.colors, joined(self.colors, self._samples()), self._threads)
             for number in self._lit:
