@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -323,12 +323,14 @@ def test_live_batches_come_while_frames_still_arrive() -> None:
 
 
 def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
-    models = []
-    for causal in (False, True):
-        decoder, _ = decoded(encoded(scene("room"), config(causal=causal))[1])
-        models.append({tuple(cell) for cell in decoder.models[0].cells()[0].tolist()})
-    # Files straighten what was measured seldom.
-    assert len(models[0] & models[1]) > 0.6 * max(map(len, models))
+    models = [decoded(encoded(scene("room"), config(causal=causal))[1])[0].models[0] for causal in (False, True)]
+    cells = [model.cells()[0] for model in models]
+    # Files straighten what was measured seldom, by less than a cell; live, unsure cells are not sent.
+    around = np.array(list(product((-1, 0, 1), repeat=3)), dtype=np.int32)
+    for own, other, least in ((0, 1, 0.9), (1, 0, 0.97)):
+        there = {tuple(cell) for cell in (cells[other][:, None] + around).reshape(-1, 3).tolist()}
+        near = np.mean([tuple(cell) in there for cell in cells[own].tolist()])
+        assert near > least
 
 
 @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
