@@ -69,6 +69,17 @@ def test_another_size_is_refused() -> None:
         decode_picture(whole, 16, 16, True)
 
 
+def test_a_picture_that_lies_about_its_size_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = b"\x00" + cv2.imencode(".avif", np.zeros((24, 20), np.uint8))[1].tobytes()
+
+    def never(*_: object) -> None:
+        raise AssertionError("a picture of the wrong size was decoded")
+
+    monkeypatch.setattr(cv2, "imdecode", never)
+    with pytest.raises(CorruptStream, match="16x16 samples"):
+        decode_picture(whole, 16, 16, True)
+
+
 def test_a_build_without_avif_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     payload = encode_picture(scene(16, 16), 40, False)
     monkeypatch.setattr(picture_coding, "can_code_pictures", lambda: False)

@@ -7,6 +7,7 @@ integers. What is the same in every AVIF file of this kind is left out.
 
 from __future__ import annotations
 
+import re
 import struct
 
 import cv2
@@ -31,6 +32,8 @@ ITEM = bytes.fromhex(
 CHANNELS = bytes.fromhex("0000000e706978690000000001080000000c61763143")
 TAIL = bytes.fromhex("00000013636f6c726e636c78000200020002800000001769706d61000000000000000100010401028304")
 COLOR_CONFIG_BYTES = 4
+SIZE_BOX, SIZE_BYTES = re.compile(rb"ispe\0\0\0\0", re.DOTALL), 8
+"""Where an AVIF file tells the size of a picture: it is checked before anything is decoded."""
 
 
 def can_code_pictures() -> bool:
@@ -135,6 +138,9 @@ def _completed(payload: bytes, width: int, height: int) -> bytes:
     if not payload or payload[0] not in (WHOLE, STRIPPED):
         raise CorruptStream("a picture is of an unknown make; the stream is damaged")
     if payload[0] == WHOLE:
+        sizes = {struct.unpack_from(">II", payload, at.end()) for at in SIZE_BOX.finditer(payload[:-SIZE_BYTES])}
+        if sizes != {(width, height)}:
+            raise CorruptStream(f"a picture is not of {width}x{height} samples as it must be; the stream is damaged")
         return payload[1:]
     config, image = payload[1 : 1 + COLOR_CONFIG_BYTES], payload[1 + COLOR_CONFIG_BYTES :]
     return b"".join(
