@@ -65,11 +65,11 @@ def test_a_plane_comes_out_exactly(size: tuple[int, int]) -> None:
         assert drawn.cast.mean() < 0.15
 
 
-def test_where_nothing_is_nothing_is_cast() -> None:
+def test_where_nothing_is_few_rays_are_cast() -> None:
     rays = grid(64, 48)
     drawn = Sampling(rays, np.zeros(64 * 48, dtype=np.float32))
     assert not drawn.depth.any()
-    assert drawn.cast.mean() < 0.15
+    assert drawn.cast.mean() < 0.35, "only single rays are taken to meet nothing because those around do"
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 7.0])

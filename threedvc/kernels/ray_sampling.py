@@ -31,12 +31,10 @@ def is_smooth(depth, labels, a, b, c, d):
 
 @kernel
 def interpolate_or_want(depth, labels, wanted, place, a, b, c, d):
-    """Interpolate a ray amid four at the corners of a square around it, or want it cast."""
+    """Interpolate a ray amid four at the corners of a square around it that met a surface, or want it cast."""
     wanted[place] = 1
-    if not is_smooth(depth, labels, a, b, c, d):
-        return
-    wanted[place] = 0
-    if depth[a] > 0.0:
+    if depth[a] > 0.0 and is_smooth(depth, labels, a, b, c, d):
+        wanted[place] = 0
         depth[place] = 4.0 / (1.0 / depth[a] + 1.0 / depth[b] + 1.0 / depth[c] + 1.0 / depth[d])
         labels[place] = labels[a]
 
