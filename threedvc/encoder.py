@@ -47,6 +47,8 @@ FILE_GROUP_S = 2
 TRIAL_FRAMES = 100
 DEPTH_ROUNDS = 3
 WORTHWHILE_ROUND = 0.98
+MORE_ROUNDS = 2
+"""Rounds that shifts of pictures take beyond those of common poses: they converge slowly."""
 TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.15, rest_pixels=0.01, move_pixels=0.01)
 """Registration with the depth: luma counts little, but where the depth leaves a direction open. It refines poses that
 are about right, so whatever is not lost may be trusted."""
@@ -199,7 +201,8 @@ class Encoder:
             self.scene, self.reports = together, reports
             return None
         poses = zip(together.objects[0].poses, self.scene.objects[0].poses, strict=True)
-        return align_pictures(self.scene, frames, [compose(both, inverse(depth)) for both, depth in poses], rounds)
+        shifts = [compose(both, inverse(depth)) for both, depth in poses]
+        return align_pictures(self.scene, frames, shifts, rounds + MORE_ROUNDS)
 
     @property
     def _cell_room(self) -> float | None:

@@ -40,7 +40,7 @@ NARROWER = 0.8
 MAX_NARROWINGS = 3
 NEARLY_EQUAL = 0.01
 """Difference of logarithms of squared errors, about 0.04 dB."""
-CLOSE = 0.98
+CLOSE = 0.985
 FINER = 8.0
 
 Result = TypeVar("Result")
