@@ -33,13 +33,13 @@ __all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unkn
 BORDERED_CELLS = 9**3
 SMALL_PICTURE = 320 * 240
 SAME_PLACE = 1e-9
-INTERPOLATIONS: dict[int, tuple[Callable[..., None], int]] = {
-    1: (interpolate_diamonds, 4),
-    2: (interpolate_centres, 2),
-    3: (interpolate_diamonds, 2),
-    4: (interpolate_between, 1),
+INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
+    1: (interpolate_diamonds, 4, 4),
+    2: (interpolate_centres, 2, 4),
+    3: (interpolate_diamonds, 2, 2),
+    4: (interpolate_between, 1, 2),
 }
-"""How rays of each but the first of `RayGrid.levels` are interpolated, and how far away from each other."""
+"""How rays of each but the first of `RayGrid.levels` are interpolated, how far from others, and in every which row."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -257,13 +257,12 @@ class Renderer:
         wanted: NDArray[np.uint8],
     ) -> None:
         """Interpolate rays of a level amid those of the levels before, and tell in `wanted` which have to be cast."""
-        interpolate, reach = INTERPOLATIONS[level]
-        rows = rays.height // reach + 1 if interpolate is interpolate_diamonds else rays.height // (2 * reach) + 1
+        interpolate, reach, spacing = INTERPOLATIONS[level]
 
         def row_range(start: int, stop: int) -> None:
             interpolate(start, stop, rays.width, rays.height, reach, depth, labels, wanted)
 
-        for_ranges(row_range, rows, self.config.threads)
+        for_ranges(row_range, rays.height // spacing + 1, self.config.threads)
 
     def cast_guessed(
         self,
