@@ -193,11 +193,13 @@ class Encoder:
         if not self.scene.may_move(0):
             return None
         together, reports = self.scene, self.reports
-        misfits = [depth_misfit(together, frames)]
-        while len(misfits) <= DEPTH_ROUNDS and (len(misfits) < 2 or misfits[-1] < WORTHWHILE_ROUND * misfits[-2]):
+        first = misfit = depth_misfit(together, frames)
+        for _ in range(DEPTH_ROUNDS):
             self._fuse_again(frames, on_frame, refined_script(self.scene, frames, TO_DEPTH))
-            misfits.append(depth_misfit(self.scene, frames))
-        if misfits[-1] > (1 - WORTHWHILE_SHIFTS) * misfits[0]:
+            before, misfit = misfit, depth_misfit(self.scene, frames)
+            if misfit > WORTHWHILE_ROUND * before:
+                break
+        if misfit > (1 - WORTHWHILE_SHIFTS) * first:
             self.scene, self.reports = together, reports
             return None
         poses = zip(together.objects[0].poses, self.scene.objects[0].poses, strict=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from threedvc.appearance import (
     LUMA,
     ColorField,
-    Doubles,
+    Floats,
     FrameSamples,
     Sampler,
     aligned_pose,
@@ -36,7 +36,7 @@ from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.motion import Script
 from threedvc.pose import Pose, identity, inverse
 from threedvc.readout import REGION_SHIFT, Surface, read_surface
-from threedvc.refinement import misfit
+from threedvc.refinement import mean_misfit, misfit_frames
 from threedvc.rendering import Renderer
 from threedvc.scene import Scene, SceneObject
 from threedvc.trials import color_settings, one_shot
@@ -48,9 +48,8 @@ TRIAL_SAMPLES = 500_000
 TRIAL_STEPS = (40.0, 24.0, 14.0, 8.0)
 DEPTH_SHARE = 0.25
 """A tenth off the misfit of the depth counts as much as about a tenth of a decibel of colours."""
-DEPTH_FRAMES = 40
-LEAST_SIGHT = 0.05
-"""Share of the sight of the cells around that a cell needs; each of the others costs several times an average one."""
+LEAST_SIGHT = 0.2
+"""Share of the sight of the cells around that a cell needs; each of the others costs twice an average one."""
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
 COLOR_FITS = 3
 LIGHT_FITS = 8
@@ -151,7 +150,7 @@ def trial_error(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | No
     Returns
     -------
     float
-        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `misfit`.
+        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `mean_misfit`.
     """
     fit = _Fit(scene, frames, list(shifts) if shifts is not None else [identity()] * len(frames), TRIAL_SAMPLES)
     fit.take_samples()
@@ -194,24 +193,33 @@ class _Fit:
         return ColorField(surfaces, sizes, scales, self._threads, guessed, scene.config.appearance.relief_bits or 0)
 
     def drop_hidden_cells(self) -> None:
-        """Drop cells that the frames show much less of than of others around: behind a surface, or beside it."""
-        thinned = Thinned(self._scene.info.rig)
-        renderer = Renderer(self._scene.info.rig, RenderConfig(threads=self._threads))
+        """Drop cells that frames show much less of than of others around: behind a surface, or beside it.
+
+        Only frames that show a cell at all speak about it: one that is seen but for a moment is as good as others.
+        """
+        thinned, renderer = self._thinned_views()
         sizes = {number: item.evidence.voxel_size_m for number, item in self._scene.objects.items()}
         field = ColorField(self._surfaces, sizes, dict.fromkeys(sizes, 1), self._threads)
-        shown = np.zeros(len(field.values))
-        for index in range(len(self._frames)):
-            poses = {} if self._scene.repeated[index] else self._poses(index)
+        regions = np.zeros(len(field.values), dtype=np.int64)
+        for number, surface in self._surfaces.items():
+            _, member = np.unique(surface.cells >> REGION_SHIFT, axis=0, return_inverse=True)
+            regions[field.numbers_of(number, surface.cells)] = regions.max(initial=-1) + 1 + member
+        shown, around = np.zeros(len(regions)), np.zeros(len(regions))
+        for index in np.flatnonzero(~np.array(self._scene.repeated)).tolist():
+            poses, sight = self._poses(index), np.zeros(len(regions))
             depth, labels = renderer.cast(thinned.grid, field.models, poses)
             points = np.column_stack([thinned.grid.slopes, np.ones(len(depth))]) * depth[:, None].astype(np.float64)
             for number, pose in poses.items():
                 here, T = (labels == number) & (depth > 0), inverse(pose)
                 numbers, weights = field.corners(number, points[here] @ T[:3, :3].T + T[:3, 3])
-                shown += np.bincount(numbers.ravel(), weights.ravel(), len(shown))
+                sight += np.bincount(numbers.ravel(), weights.ravel(), len(sight))
+            seen = sight > 0
+            means = np.bincount(regions, sight) / np.maximum(np.bincount(regions, seen), 1)
+            shown[seen] += sight[seen]
+            around[seen] += means[regions[seen]]
         for number, surface in self._surfaces.items():
-            if surface.cells.size:
-                seen = shown[field.numbers_of(number, surface.cells)]
-                self._surfaces[number] = surface.part(seen > LEAST_SIGHT * _regional_means(surface.cells, seen))
+            mine = field.numbers_of(number, surface.cells)
+            self._surfaces[number] = surface.part(shown[mine] > LEAST_SIGHT * around[mine])
         self.colors = self._field()
 
     def guess_holes(self) -> None:
@@ -239,9 +247,10 @@ class _Fit:
             if frame.index % self._every == 0:
                 self._kept.append((frame.index, replace(sample, points=sample.points[:0])))
 
-    def fit_colors(self, fits: int = 0) -> None:
+    def fit_colors(self, fits: int | None = None) -> None:
         """Fit colours, light and gains to the samples, in turn, `fits` times or as often as does for a start."""
-        fits = fits or (LIGHT_FITS if self._lit else COLOR_FITS)
+        if fits is None:
+            fits = LIGHT_FITS if self._lit else COLOR_FITS
         for fit in range(fits if self._kept else 0):
             fit_colors(self.colors, joined(self.colors, self._samples()), self._threads)
             for number in self._lit:
@@ -269,16 +278,19 @@ class _Fit:
         return total, error
 
     def depth_misfit(self) -> float:
-        """Return the `misfit` of what is drawn, on an average over frames."""
-        rig, misfits = self._scene.info.rig, []
-        thinned, renderer = Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
-        for index in range(0, len(self._frames), -(-len(self._frames) // DEPTH_FRAMES)):
+        """Return the `mean_misfit` of what is drawn."""
+        thinned, renderer = self._thinned_views()
+
+        def pictures(index: int) -> tuple[Floats, Floats]:
             depth, _ = renderer.cast(thinned.grid, self.colors.models, self._poses(index))
-            measured = thinned.thin(self._scene.limited(self._frames[index]).depth).reshape(-1)
-            seen = (depth > 0) & (measured > 0)
-            if seen.any():
-                misfits.append(misfit(depth[seen], measured[seen]))
-        return float(np.mean(misfits)) if misfits else 0.0
+            return depth, thinned.thin(self._scene.limited(self._frames[index]).depth).reshape(-1)
+
+        return mean_misfit(map(pictures, misfit_frames(self._frames)))
+
+    def _thinned_views(self) -> tuple[Thinned, Renderer]:
+        """Return rays of the depth camera and what casts them."""
+        rig = self._scene.info.rig
+        return Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
 
     def surfaces(self) -> dict[int, Surface]:
         """Return the surfaces with the colours so far."""
@@ -377,13 +389,6 @@ def _turns(scene: Scene, item: SceneObject) -> bool:
     world = scene.objects[0].poses
     turns = [inverse(world[k])[:3, :3] @ item.poses[k][:3, :3] for k, at in enumerate(item.found) if at is not None]
     return any(np.trace(turns[0].T @ turn) < 1 + 2 * np.cos(TURNS_RAD) for turn in turns)
-
-
-def _regional_means(cells: NDArray[np.int32], values: Doubles) -> Doubles:
-    """Return for each cell (n, 3) the mean of the values (n,) in its region of 16x16x16 cells."""
-    regions, member = np.unique(cells >> REGION_SHIFT, axis=0, return_inverse=True)
-    means = np.bincount(member, values, len(regions)) / np.bincount(member, minlength=len(regions))
-    return np.asarray(means[member], dtype=np.float64)
 
 
 def _error(sample: FrameSamples, shown: NDArray[np.float32], units: NDArray[np.int64]) -> float:

@@ -8,6 +8,7 @@ What the decoder will draw is fitted to the pictures afterwards (`threedvc.finis
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
 from threedvc.segmentation import segment
 
-__all__ = ["calibrated_rig", "depth_misfit", "misfit", "refined_script"]
+__all__ = ["calibrated_rig", "depth_misfit", "mean_misfit", "misfit_frames", "refined_script"]
 
 MISFIT_FRAMES = 60
 MISFIT_SCALE = 0.01
@@ -63,27 +64,38 @@ def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConf
     return script
 
 
-def misfit(found: NDArray[np.floating], measured: NDArray[np.floating]) -> float:
-    """Return how badly depths (n,) meet measurements (n,), from 0 for exactly to 1; one per cent off counts a half."""
-    squares = (found / measured - 1) ** 2
-    return float(np.mean(squares / (squares + MISFIT_SCALE**2)))
+def misfit_frames(frames: FrameSequence) -> range:
+    """Return the frames on which a misfit is measured."""
+    return range(0, len(frames), -(-len(frames) // MISFIT_FRAMES))
+
+
+def mean_misfit(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> float:
+    """Return how badly depths meet measurements, from 0 for exactly to 1, on an average over pairs of pictures.
+
+    One per cent off counts a half. Pixels (n,) without the one or the other, 0, do not count.
+    """
+    misfits = []
+    for found, measured in pictures:
+        seen = (found > 0) & (measured > 0)
+        if seen.any():
+            squares = (found[seen] / measured[seen] - 1) ** 2
+            misfits.append(float(np.mean(squares / (squares + MISFIT_SCALE**2))))
+    return float(np.mean(misfits)) if misfits else 0.0
 
 
 def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
-    """Return the `misfit` of the background's evidence at its poses, on an average over frames."""
-    item, misfits = scene.objects[0], []
-    for index in range(0, len(frames), -(-len(frames) // MISFIT_FRAMES)):
-        at = item.found[index]
-        if at is None or not at.usable:
-            continue
+    """Return the `mean_misfit` of the background's evidence at its poses."""
+    item = scene.objects[0]
+
+    def pictures(index: int, at: Located) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         frame = scene.limited(frames[index])
         mask = segment(frame, scene.config.segmentation, scene.info) == 0
         form = scene.views(frame).form(mask)
         view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads)
-        seen = form.thin(mask) & (form.thin(frame.depth) > 0) & (view.depth > 0)
-        if seen.any():
-            misfits.append(misfit(view.depth[seen], form.thin(frame.depth)[seen]))
-    return float(np.mean(misfits)) if misfits else 0.0
+        return view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
+
+    found = ((index, item.found[index]) for index in misfit_frames(frames))
+    return mean_misfit(pictures(index, at) for index, at in found if at is not None and at.usable)
 
 
 def _refined(

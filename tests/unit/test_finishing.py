@@ -225,6 +225,27 @@ def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
     assert len(planted & left) < 0.4 * len(planted), "a third of them stand beside what is seen"
 
 
+def test_what_is_seen_but_for_a_moment_is_not_hidden() -> None:
+    moving = scene("room", 12)
+    rng = np.random.default_rng(6)
+    frames = []
+    for index in range(40):
+        # The first view for long, with a little noise, as else it would be a copy; at the end one from elsewhere.
+        frame = moving.frames[11 if index == 39 else 0]
+        noise = rng.integers(-1, 2, frame.color.shape)
+        color = np.clip(frame.color.astype(int) + noise, 0, 255).astype(np.uint8)
+        frames.append(replace(frame, index=index, timestamp_ns=index * 33_000_000, color=color))
+    sequence = ListSequence(frames, replace(moving.info, frame_count=40))
+    encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
+    list(encoder.packets(sequence))
+    read = read_surface(encoder.scene.objects[0].evidence, 2, smooth=True)
+    late = read.first_seen == 39
+    assert np.count_nonzero(late) > 100
+    kept = finish(encoder.scene, sequence).surfaces[0]
+    there = {tuple(cell) for cell in kept.cells.tolist()}
+    assert np.mean([tuple(cell) in there for cell in read.cells[late].tolist()]) > 0.8
+
+
 @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
 def test_pictures_taken_when_the_depth_is_have_no_shifts(motion: Motion) -> None:
     assert not members(encoded(scene("room", 10), replace(FILE, motion=motion)), PacketType.SHIFT)
