@@ -30,6 +30,7 @@ from threedvc.packets import (
 )
 from threedvc.pose import compose, inverse, make_pose, rotation_angle
 from threedvc.rate_control import stream_bytes
+from threedvc.readout import read_surface
 from threedvc.report import FrameReport
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -331,6 +332,14 @@ def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
         there = {tuple(cell) for cell in (cells[other][:, None] + around).reshape(-1, 3).tolist()}
         near = np.mean([tuple(cell) in there for cell in cells[own].tolist()])
         assert near > least
+
+
+def test_live_cells_are_those_of_the_evidence() -> None:
+    encoder = Encoder(scene("room").info, config(causal=True))
+    model = decoded(list(encoder.packets(scene("room"))))[0].models[0]
+    read = read_surface(encoder.scene.objects[0].evidence, 2)
+    there = {tuple(cell) for cell in read.cells.tolist()}
+    assert np.mean([tuple(cell) in there for cell in model.cells()[0].tolist()]) > 0.7
 
 
 @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])

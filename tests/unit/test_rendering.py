@@ -16,6 +16,7 @@ from threedvc.errors import ConfigError
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.ray_grid import RayGrid
 from threedvc.rendering import Picture, Renderer, RenderModel
 
 CELL = 0.03
@@ -71,6 +72,16 @@ def test_the_nearest_object_wins(numbers: tuple[int, int], ball_cells: NDArray[n
     assert np.count_nonzero(hidden) > 50
     assert np.all(picture.labels[hidden] == near)
     np.testing.assert_array_equal(picture.depth[hidden], alone[near].depth[hidden])
+    for_sure = RayGrid(CAMERA, apart=True)
+    cast = {
+        which: Renderer(RIG, RenderConfig(threads=1)).cast(
+            for_sure, models, {number: poses[number] for number in which}
+        )
+        for which in ((near,), (far,), (near, far))
+    }
+    of_near, of_far, of_both = (cast[which][0] for which in cast)
+    np.testing.assert_array_equal(of_both, np.where(of_near > 0, of_near, of_far))
+    np.testing.assert_array_equal(cast[near, far][1], np.where(of_near > 0, near, np.where(of_far > 0, far, 0)))
     only_far = (alone[near].depth == 0) & (alone[far].depth > 0)
     # A ray between others that met nothing may have missed the rim of the near one when that was drawn alone.
     assert np.count_nonzero(picture.labels[only_far] == near) <= 2
