@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from threedvc.camera import Camera, CameraRig
 from threedvc.coding.color import ColorSettings
+from threedvc.coding.gains import apply_gain
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
-from threedvc.decoder import models_digest
+from threedvc.config import RenderConfig
+from threedvc.decoder import Decoder, models_digest, rig_of
 from threedvc.formats.container import StreamReader, StreamWriter
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.model_update import ModelUpdate
@@ -26,15 +28,17 @@ from threedvc.packets import (
     EndHeader,
     ModelHeader,
     ObjectHeader,
+    Packet,
     PacketType,
     PoseHeader,
     StreamHeader,
     pack_batch,
 )
 from threedvc.pose import Pose
+from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 
-__all__ = ["FRAMES", "INFO", "FakeStream", "ListSequence", "gradient_frame", "packed_stream"]
+__all__ = ["FRAMES", "INFO", "FakeStream", "ListSequence", "drawn", "gradient_frame", "packed_stream"]
 
 FRAMES = 4
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
@@ -186,3 +190,22 @@ class FakeStream:
             T_world_camera=frame.T_world_camera,
             T_camera_object=frame.T_camera_object,
         )
+
+
+def drawn(packets: Sequence[Packet]) -> list[NDArray[np.uint8]]:
+    """Decode and draw colour pictures as `threedvc.decode` does."""
+    decoder, shown = Decoder(), dict[int, RenderModel]()
+    pictures = []
+    renderer: Renderer | None = None
+    for state in decoder.frames(packets):
+        assert decoder.header is not None
+        renderer = renderer or Renderer(rig_of(decoder.header), RenderConfig(threads=2))
+        for number in state.T_camera_object:
+            shown.setdefault(number, RenderModel(decoder.models[number])).refresh(2)
+        picture = renderer.draw(
+            shown, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
+            backdrop=state.backdrop, lights=state.lights,
+        )  # fmt: skip
+        pictures.append(picture.color)
+    assert decoder.complete
+    return pictures

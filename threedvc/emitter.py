@@ -18,7 +18,7 @@ import numpy as np
 from threedvc.camera import Camera
 from threedvc.coding.gains import GainCoder
 from threedvc.coding.light import pack_light
-from threedvc.coding.picture import can_code_pictures
+from threedvc.coding.picture import can_encode_pictures
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import encode_relief
 from threedvc.coding.texture import encode_texture
@@ -314,7 +314,7 @@ class Emitter:
         is the price.
         """
         finished = self._finished
-        if finished is None or finished.backdrop is None or not can_code_pictures():
+        if finished is None or finished.backdrop is None or not can_encode_pictures():
             return None
         price = 8 * luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell
         payload, cost = finished.backdrop.best(price)

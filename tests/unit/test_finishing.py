@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from streams import ListSequence
+from streams import ListSequence, drawn
 from threedvc.appearance import LUMA, Sampler, aligned_shift
-from threedvc.coding.gains import apply_gain
-from threedvc.coding.picture import can_code_pictures
+from threedvc.coding.picture import can_encode_pictures
 from threedvc.config import (
     AppearanceConfig,
     EncoderConfig,
@@ -44,7 +43,7 @@ THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.
 WHOLE = SegmentationConfig(mode=SegmentationMode.NONE)
 SIZES = {"paper": (80, 80), "room": (128, 96), "objects": (128, 96)}
 FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=WHOLE, group_frames=4)
-needs_avif = pytest.mark.skipif(not can_code_pictures(), reason="this build of OpenCV has no AVIF")
+needs_avif = pytest.mark.skipif(not can_encode_pictures(), reason="this build of OpenCV has no AVIF")
 
 
 @cache
@@ -57,25 +56,6 @@ def scene(name: str, frames: int = 8) -> ListSequence:
 def members(packets: Iterable[Packet], kind: PacketType) -> list[Packet]:
     batches = [packet for packet in packets if packet.type == PacketType.BATCH]
     return [member for batch in batches for member in unpack_batch(batch) if member.type == kind]
-
-
-def drawn(packets: list[Packet]) -> list[NDArray[np.uint8]]:
-    """Decode and draw colour pictures as `threedvc.decode` does."""
-    decoder, shown = Decoder(), dict[int, RenderModel]()
-    pictures = []
-    renderer: Renderer | None = None
-    for state in decoder.frames(packets):
-        assert decoder.header is not None
-        renderer = renderer or Renderer(rig_of(decoder.header), RenderConfig(threads=2))
-        for number in state.T_camera_object:
-            shown.setdefault(number, RenderModel(decoder.models[number])).refresh(2)
-        picture = renderer.draw(
-            shown, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
-            backdrop=state.backdrop, lights=state.lights,
-        )  # fmt: skip
-        pictures.append(picture.color)
-    assert decoder.complete
-    return pictures
 
 
 def psnr(pictures: list[NDArray[np.uint8]], sequence: ListSequence) -> float:

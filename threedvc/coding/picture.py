@@ -2,24 +2,31 @@
 """Still pictures as AVIF of one grey plane, whose decoding is exact everywhere.
 
 Luma stands above the two chroma planes of half its size, side by side; the colour transform is ours and in
-integers. What is the same in every AVIF file of this kind is left out.
+integers. Chroma is magnified, as an error of its samples shows in four pixels each. What is the same in every AVIF
+file of this kind is left out.
 """
 
 from __future__ import annotations
 
+import io
 import re
 import struct
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, features
 
 from threedvc.errors import CorruptStream, UnsupportedVersion
 
-__all__ = ["can_code_pictures", "decode_picture", "encode_picture"]
+__all__ = ["can_decode_pictures", "can_encode_pictures", "decode_picture", "encode_picture"]
 
 WHOLE, STRIPPED = 0, 1
+MAX_MAGNIFIED = 3
+"""Chroma is magnified by 1 + m/4 with m up to this: 0.3 dB at equal bytes, on two backgrounds; 2 is no better."""
 QUICK_SPEED, THOROUGH_SPEED = 3, 0
+LEAST_SQUARES = {"tune": "psnr", "enable-cdef": "1"}
+"""What the encoder is to go for; by default it is what looks best, at 15 % more bytes for the same squared error."""
 HEAD = bytes.fromhex(
     "0000001c66747970617669660000000061766966"
     "6d6966316d696166000000e96d657461000000000000002168646c72000000000000000070"
@@ -32,11 +39,18 @@ ITEM = bytes.fromhex(
 CHANNELS = bytes.fromhex("0000000e706978690000000001080000000c61763143")
 TAIL = bytes.fromhex("00000013636f6c726e636c78000200020002800000001769706d61000000000000000100010401028304")
 COLOR_CONFIG_BYTES = 4
+COLOR_BOX = slice(12, 18)
+"""Where `TAIL` tells primaries, transfer function and matrix."""
 SIZE_BOX, SIZE_BYTES = re.compile(rb"ispe\0\0\0\0", re.DOTALL), 8
 """Where an AVIF file tells the size of a picture: it is checked before anything is decoded."""
 
 
-def can_code_pictures() -> bool:
+def can_encode_pictures() -> bool:
+    """Tell whether these builds of Pillow and OpenCV can write AVIF and read it again."""
+    return bool(features.check("avif")) and can_decode_pictures()
+
+
+def can_decode_pictures() -> bool:
     """Tell whether this build of OpenCV has AVIF."""
     return bool(cv2.haveImageWriter(".avif"))
 
@@ -55,12 +69,23 @@ def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool, *, thor
     thorough
         Whether to take several times as long for about 3 % fewer bytes.
     """
-    speed = THOROUGH_SPEED if thorough else QUICK_SPEED
-    planes = _planes(picture, grey)
-    done, data = cv2.imencode(".avif", planes, [cv2.IMWRITE_AVIF_QUALITY, quality, cv2.IMWRITE_AVIF_SPEED, speed])
-    if not done:
-        raise RuntimeError("the AVIF encoder of OpenCV refused a picture")
-    return _stripped(bytes(data), planes.shape[1], planes.shape[0])
+    magnified = _magnification(picture, grey)
+    planes = _planes(picture, grey, magnified)
+    file = io.BytesIO()
+    Image.fromarray(planes).convert("RGB").save(
+        file,
+        "AVIF",
+        codec="aom",
+        quality=quality,
+        speed=THOROUGH_SPEED if thorough else QUICK_SPEED,
+        subsampling="4:0:0",
+        range="full",
+        autotiling=False,
+        max_threads=1,
+        advanced=LEAST_SQUARES,
+    )
+    payload = _stripped(file.getvalue(), planes.shape[1], planes.shape[0])
+    return bytes([payload[0] | magnified << 1]) + payload[1:]
 
 
 def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArray[np.uint8]:
@@ -75,18 +100,34 @@ def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArr
     """
     rows = height if grey else height + -(-height // 2)
     columns = width if grey else 2 * -(-width // 2)
-    data = _completed(payload, columns, rows)
-    if not can_code_pictures():
+    if not payload or payload[0] >> 1 > MAX_MAGNIFIED:
+        raise CorruptStream("a picture is of an unknown make; the stream is damaged")
+    magnified, data = payload[0] >> 1, _completed(bytes([payload[0] & 1]) + payload[1:], columns, rows)
+    if not can_decode_pictures():
         raise UnsupportedVersion(
             "this build of OpenCV cannot read AVIF pictures; install opencv-python-headless 5 or newer"
         )
     planes = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if planes is None or planes.shape != (rows, columns) or planes.dtype != np.uint8:
         raise CorruptStream(f"a picture of {width}x{height} pixels cannot be decoded; the stream is damaged")
-    return _picture(np.asarray(planes, dtype=np.uint8), width, height, grey)
+    return _picture(np.asarray(planes, dtype=np.uint8), width, height, grey, magnified)
 
 
-def _planes(picture: NDArray[np.uint8], grey: bool) -> NDArray[np.uint8]:
+def _magnification(picture: NDArray[np.uint8], grey: bool) -> int:
+    """Return the greatest magnification of chroma that does not clip it."""
+    if grey:
+        return 0
+    largest = int(np.abs(_chroma(picture)).max(initial=0))
+    return next(m for m in range(MAX_MAGNIFIED, -1, -1) if m == 0 or largest * (4 + m) <= 127 * 8)
+
+
+def _chroma(picture: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Return R - B and G - (R + B) / 2 (2, h, w), rounded down."""
+    red, green, blue = np.moveaxis(picture.astype(np.int32), -1, 0)
+    return np.stack([red - blue, (2 * green - red - blue) >> 1])
+
+
+def _planes(picture: NDArray[np.uint8], grey: bool, magnified: int = 0) -> NDArray[np.uint8]:
     values = picture.astype(np.int32)
     red, green, blue = values[..., 0], values[..., 1], values[..., 2]
     luma = (red + 2 * green + blue + 2) >> 2
@@ -95,20 +136,22 @@ def _planes(picture: NDArray[np.uint8], grey: bool) -> NDArray[np.uint8]:
     height, width = luma.shape
     even = ((0, height % 2), (0, width % 2))
     chroma = []
-    for plane in (red - blue, (2 * green - red - blue) >> 1):
-        whole = np.pad((plane >> 1) + 128, even, mode="edge")
-        chroma.append((whole[::2, ::2] + whole[1::2, ::2] + whole[::2, 1::2] + whole[1::2, 1::2] + 2) >> 2)
+    for plane in _chroma(picture):
+        whole = np.pad(plane, even, mode="edge")
+        sums = whole[::2, ::2] + whole[1::2, ::2] + whole[::2, 1::2] + whole[1::2, 1::2]
+        chroma.append(np.clip(((sums * (4 + magnified) + 16) >> 5) + 128, 0, 255))
     luma = np.pad(luma, ((0, 0), (0, width % 2)), mode="edge")
     return np.vstack([luma, np.hstack(chroma)]).astype(np.uint8)
 
 
-def _picture(planes: NDArray[np.uint8], width: int, height: int, grey: bool) -> NDArray[np.uint8]:
+def _picture(planes: NDArray[np.uint8], width: int, height: int, grey: bool, magnified: int = 0) -> NDArray[np.uint8]:
     values = planes.astype(np.int32)
     luma = values[:height, :width]
     if grey:
         return np.repeat(luma[..., None], 3, axis=2).astype(np.uint8)
     half = values.shape[1] // 2
-    co, cg = (_doubled(values[height:, k * half : (k + 1) * half] - 128)[:height, :width] for k in (0, 1))
+    doubled = (_doubled(values[height:, k * half : (k + 1) * half] - 128)[:height, :width] for k in (0, 1))
+    co, cg = ((8 * plane + 4 + magnified) // (2 * (4 + magnified)) for plane in doubled)
     # Co is half of R - B, Cg a quarter of 2 G - R - B; Y - Cg is (R + B) / 2.
     rest = luma - cg
     return np.clip(np.stack([rest + co, luma + cg, rest - co], axis=-1), 0, 255).astype(np.uint8)
@@ -131,7 +174,11 @@ def _stripped(data: bytes, width: int, height: int) -> bytes:
     start = len(HEAD) + 4 + len(ITEM) + 8 + len(CHANNELS)
     config = data[start : start + COLOR_CONFIG_BYTES]
     payload = bytes([STRIPPED]) + config + data[start + COLOR_CONFIG_BYTES + len(TAIL) + 8 :]
-    return payload if _completed(payload, width, height) == data else bytes([WHOLE]) + data
+    again = _completed(payload, width, height)
+    # Only what the file says of its primaries may differ: they mean nothing here.
+    color = start + COLOR_CONFIG_BYTES + COLOR_BOX.start, start + COLOR_CONFIG_BYTES + COLOR_BOX.stop
+    alike = data[: color[0]] + again[color[0] : color[1]] + data[color[1] :] == again
+    return payload if alike else bytes([WHOLE]) + data
 
 
 def _completed(payload: bytes, width: int, height: int) -> bytes:
