@@ -51,6 +51,7 @@ __all__ = [
     "fit_gain",
     "fit_light",
     "joined",
+    "shown_shares",
 ]
 
 Floats = NDArray[np.float32]
@@ -167,6 +168,10 @@ class ColorField:
         here = model.index.locate(cells)
         means = sums[here] / np.maximum(count[here], 1)[:, None]
         return cells, np.where(count[here][:, None] > 0, _rounded(means), colors)
+
+    def textured(self, number: int) -> bool:
+        """Tell whether an object's colours are those of texels."""
+        return self.models[number].model.texture is not None
 
     def numbers_of(self, number: int, cells: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the numbers (n,) of cells (n, 3) of an object without texels."""
@@ -340,6 +345,15 @@ class JoinedSamples:
     weights: NDArray[np.uint8]
     gain: Floats
     wanted: Floats
+
+
+def shown_shares(colors: ColorField, samples: Iterable[FrameSamples]) -> Floats:
+    """Return how many samples show each numbered cell (n,), shared among the cells that a sample is made of."""
+    shares = np.zeros(len(colors.values))
+    for sample in samples:
+        weights = sample.weights / np.maximum(sample.weights.sum(axis=1, dtype=np.float64), 1)[:, None]
+        shares += np.bincount(sample.numbers.ravel(), weights.ravel(), len(shares))
+    return shares.astype(np.float32)
 
 
 def light_terms(normals: Floats) -> Doubles:

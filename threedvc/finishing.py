@@ -26,6 +26,7 @@ from threedvc.appearance import (
     fit_gain,
     fit_light,
     joined,
+    shown_shares,
 )
 from threedvc.backdrop import PictureChoice, background_picture
 from threedvc.coding.gains import NEUTRAL, apply_gain
@@ -50,6 +51,7 @@ DEPTH_SHARE = 0.25
 """A tenth off the misfit of the depth counts as much as about a tenth of a decibel of colours."""
 LEAST_SIGHT = 0.2
 """Share of the sight of the cells around that a cell needs; each of the others costs twice an average one."""
+LEAST_IMPORTANCE = np.float32(0.02)
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
 COLOR_FITS = 3
 LIGHT_FITS = 8
@@ -71,7 +73,8 @@ class Finish:
     Attributes
     ----------
     surfaces
-        Surface of every object with the fitted colours, by number, and that of the guess.
+        Surface of every object with the fitted colours, by number, and that of the guess. The error of a colour counts
+        as the frames show the cell.
     colors
         Colours of the texels, and the light on objects.
     gains
@@ -134,7 +137,7 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
     gains = fit.steady_gains()
     backdrop = fit.backdrop(gains)
     return Finish(
-        surfaces=fit.surfaces(),
+        surfaces=fit.surfaces(without_background=backdrop is not None),
         colors=fit.colors,
         gains=gains,
         shifts=fit.shifts,
@@ -292,13 +295,28 @@ class _Fit:
         rig = self._scene.info.rig
         return Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
 
-    def surfaces(self) -> dict[int, Surface]:
-        """Return the surfaces with the colours so far."""
-        surfaces = dict(self._surfaces)
+    def surfaces(self, *, without_background: bool = False) -> dict[int, Surface]:
+        """Return the surfaces with the colours so far, and how much these count, on an average 1.
+
+        The average can be taken without the background, as is right where its colours are not sent.
+        """
+        surfaces, colors = dict(self._surfaces), self.colors
         if self.guess is not None:
             surfaces[self.guess[0]] = self.guess[1].surface
+        seen = shown_shares(colors, (sample for _, sample in self._kept))
+        numbers = {
+            number: None if colors.textured(number) else colors.numbers_of(number, surface.cells)
+            for number, surface in surfaces.items()
+        }
+        cells = [mine for number, mine in numbers.items() if mine is not None and (number or not without_background)]
+        mean = float(seen[np.concatenate(cells)].mean()) if sum(map(len, cells)) else 0.0
         return {
-            number: replace(surface, colors=self.colors.cell_colors(number)[1]) for number, surface in surfaces.items()
+            number: replace(
+                surface,
+                colors=colors.cell_colors(number)[1],
+                importance=None if mine is None or not mean else np.maximum(seen[mine] / mean, LEAST_IMPORTANCE),
+            )
+            for (number, surface), mine in zip(surfaces.items(), numbers.values(), strict=True)
         }
 
     def steady_gains(self) -> NDArray[np.int64]:

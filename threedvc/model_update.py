@@ -23,6 +23,9 @@ class ModelUpdate:
     added_colors, recolored_colors
         (n, 3) int16 RGB of the rows of `added` and `recolored`; values a little beyond 0..255 are
         allowed and clamped when drawn.
+    importance
+        How much errors of the colours count, (n,) float32, of `added` and then of `recolored` cells, or None: alike.
+        An encoder's; it is not sent.
     """
 
     added: NDArray[np.int32]
@@ -30,6 +33,7 @@ class ModelUpdate:
     removed: NDArray[np.int32]
     recolored: NDArray[np.int32]
     recolored_colors: NDArray[np.int16]
+    importance: NDArray[np.float32] | None = None
 
     @classmethod
     def adding(cls, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> ModelUpdate:

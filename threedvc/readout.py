@@ -47,12 +47,15 @@ class Surface:
         (n,) int32 frame in which the cell was first measured.
     crossings
         (n, 3) float32 where the surface passes along each axis, from the cell's centre in cells.
+    importance
+        (n,) float32 how much an error of the cell's colour counts, or None: alike.
     """
 
     cells: NDArray[np.int32]
     colors: NDArray[np.int16]
     first_seen: NDArray[np.int32]
     crossings: NDArray[np.float32]
+    importance: NDArray[np.float32] | None = None
 
     def part(self, chosen: NDArray[np.bool_]) -> Surface:
         """Return the cells where `chosen` (n,) is true."""
@@ -61,6 +64,7 @@ class Surface:
             colors=self.colors[chosen],
             first_seen=self.first_seen[chosen],
             crossings=self.crossings[chosen],
+            importance=None if self.importance is None else self.importance[chosen],
         )
 
     def crossings_of(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -181,6 +185,7 @@ def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpda
 def surest_part(update: ModelUpdate, model: EvidenceModel, share: float) -> ModelUpdate:
     """Return the part of an update in the blocks that were seen most often, of about a share of its cells."""
     groups = [update.added, update.removed, update.recolored]
+    colored = np.concatenate([np.full(len(group), group is not update.removed) for group in groups])
     cells = np.concatenate(groups)
     if share <= 0 or not len(cells):
         keep = np.zeros(len(cells), dtype=bool)
@@ -201,6 +206,7 @@ def surest_part(update: ModelUpdate, model: EvidenceModel, share: float) -> Mode
         removed=update.removed[removed],
         recolored=update.recolored[recolored],
         recolored_colors=update.recolored_colors[recolored],
+        importance=None if update.importance is None else update.importance[keep[colored]],
     )
 
 
@@ -240,4 +246,7 @@ def _update(added: Surface, removed: NDArray[np.int32], recolored: Surface) -> M
         removed=removed,
         recolored=recolored.cells,
         recolored_colors=recolored.colors,
+        importance=None
+        if added.importance is None or recolored.importance is None
+        else np.concatenate([added.importance, recolored.importance]),
     )

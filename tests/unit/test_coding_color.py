@@ -17,6 +17,7 @@ from threedvc.kernels.color_transform import (
     FRACTION_BITS,
     from_luma_chroma,
     integer_root,
+    merge_importance,
     merge_pairs,
     split_pairs,
     step_of_pair,
@@ -49,11 +50,12 @@ def coded(
     colors: NDArray[np.int16],
     settings: ColorSettings,
     state: tuple[Octree, NDArray[np.int16]] | None = None,
+    importance: NDArray[np.float32] | None = None,
 ) -> tuple[int, NDArray[np.int16]]:
     """Return the size of coded colours and the colours both sides see."""
     before, known = state or (empty(), NO_COLORS)
     writer = RangeWriter()
-    decoded = code_cell_colors(writer, tree, colors, before, known, settings)
+    decoded = code_cell_colors(writer, tree, colors, before, known, settings, importance=importance)
     payload = writer.finish()
     reader = RangeReader(payload)
     again = code_cell_colors(reader, tree, np.zeros_like(colors), before, known, settings)
@@ -84,6 +86,25 @@ def test_pairs_split_into_what_was_merged(rng: np.random.Generator) -> None:
         assert np.all(np.abs(block[0] - (means * weights[:, None]).sum(axis=0) / weights.sum()) <= 2)
         split_pairs(block, left, right)
         assert np.abs(block - means)[weights > 0].max() <= 3
+
+
+def test_importance_of_a_difference_is_that_of_the_error_it_makes(rng: np.random.Generator) -> None:
+    for mask in range(3, 256):
+        weights = np.where(mask >> np.arange(8) & 1, rng.integers(1, 50, 8), 0).astype(np.int64)
+        important = np.where(weights > 0, rng.uniform(0, 4, 8), 0)
+        share, left, right = weights.copy(), np.zeros(8, np.int64), np.zeros(8, np.int64)
+        merge_pairs(np.zeros((8, 1), np.int64), share, left, right)
+        merged = important.copy()
+        merge_importance(merged, left, right)
+        for place in range(1, 8):
+            if not (left[place] and right[place]):
+                continue
+            block = np.zeros((8, 1), np.int64)
+            block[place] = error = 1_000_000
+            split_pairs(block, left, right)
+            made = (weights * important * block[:, 0].astype(float) ** 2).sum()
+            orthonormal = error**2 * left[place] * right[place] / (left[place] + right[place])
+            assert merged[place] * orthonormal == pytest.approx(made, rel=1e-4)
 
 
 def test_transform_keeps_energy(rng: np.random.Generator) -> None:
@@ -143,6 +164,23 @@ def test_coarser_steps_cost_less_and_lose_more(rng: np.random.Generator) -> None
     assert sizes == sorted(sizes, reverse=True)
     assert errors == sorted(errors)
     assert sizes[3] < 60
+
+
+def test_bits_go_where_errors_count(rng: np.random.Generator) -> None:
+    tree, colors = surface(rng)
+    settings = ColorSettings(luma_step=30, chroma_step=30)
+    near = np.arange(len(colors)) < len(colors) // 3
+    alike, uneven = np.ones(len(colors), np.float32), np.where(near, 3, 0.05).astype(np.float32)
+    sizes, errors = [], []
+    for importance in (alike, uneven):
+        size, decoded = coded(tree, colors, settings, importance=importance)
+        square = np.square(decoded - colors).mean(axis=1)
+        sizes.append(size)
+        errors.append((square[near].mean(), square[~near].mean()))
+    assert errors[1][0] < errors[0][0]
+    assert errors[1][1] > errors[0][1]
+    assert sizes[1] < sizes[0]
+    assert coded(tree, colors, settings)[0] == sizes[0]
 
 
 def test_plain_colour_costs_next_to_nothing(rng: np.random.Generator) -> None:

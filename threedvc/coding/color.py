@@ -32,10 +32,10 @@ from threedvc.kernels.color_transform import (
 from threedvc.kernels.entropy import NUMBER_COUNTERS
 from threedvc.kernels.octree import BIT_COUNTS
 
-__all__ = ["ColorSettings", "code_cell_colors"]
+__all__ = ["LEAST_STEP", "MAX_STEP", "ColorSettings", "code_cell_colors"]
 
 STEP_BITS = 4
-MAX_STEP = 255.0
+LEAST_STEP, MAX_STEP = 2**-STEP_BITS, 255.0
 BYTES_PER_COEFFICIENT = 64
 PRICE = 30
 MIDDLE_GREY = 128 << FRACTION_BITS
@@ -59,8 +59,8 @@ class ColorSettings:
 
     def __post_init__(self) -> None:
         for step in (self.luma_step, self.chroma_step):
-            if not 2**-STEP_BITS <= step <= MAX_STEP:
-                raise ConfigError(f"colour step {step} must be within {2**-STEP_BITS}..{MAX_STEP}")
+            if not LEAST_STEP <= step <= MAX_STEP:
+                raise ConfigError(f"colour step {step} must be within {LEAST_STEP}..{MAX_STEP}")
 
     @property
     def channels(self) -> int:
@@ -86,11 +86,15 @@ class ColorSettings:
 class _MeanTree:
     """Mean colours and weights of the nodes of every level of an octree, and of the cells behind them."""
 
-    def __init__(self, tree: Octree, colors: NDArray[np.int16], channels: int) -> None:
+    def __init__(
+        self, tree: Octree, colors: NDArray[np.int16], channels: int, importance: NDArray[np.float32] | None = None
+    ) -> None:
         values = np.empty((len(colors), 3), dtype=np.int64)
         to_luma_chroma(colors, values)
         sums, weights = values[:, :channels].copy(), np.ones(len(values), dtype=np.int64)
         self.means, self.weights = [sums], [weights]
+        important = np.ones(len(colors), dtype=np.float32) if importance is None else importance
+        self.importance = [important]
         for level in reversed(tree.levels):
             child_sums, child_weights = sums, weights
             sums = np.empty((len(level.codes), channels), dtype=np.int64)
@@ -98,6 +102,9 @@ class _MeanTree:
             sum_children(level.masks, child_sums, child_weights, sums, weights)
             self.means.insert(0, (2 * sums + weights[:, None]) // (2 * weights[:, None]))
             self.weights.insert(0, weights)
+            sums_of_important = np.add.reduceat(important * child_weights, level.first)
+            important = (sums_of_important / weights).astype(np.float32)
+            self.importance.insert(0, important)
 
 
 def code_cell_colors(
@@ -109,6 +116,7 @@ def code_cell_colors(
     settings: ColorSettings,
     node_colors: NDArray[np.int16] | None = None,
     coded_levels: int | None = None,
+    importance: NDArray[np.float32] | None = None,
 ) -> NDArray[np.int16]:
     """Code the colours of cells that both sides know.
 
@@ -127,6 +135,8 @@ def code_cell_colors(
     node_colors, coded_levels
         (k, 3) int16 RGB of the k nodes of a level of `tree`, if both sides know them, and the number of levels below,
         which alone are coded.
+    importance
+        (n,) how much an error of each cell counts, 1 if not given; of no meaning when reading.
 
     Returns
     -------
@@ -139,7 +149,7 @@ def code_cell_colors(
         If the data end too early.
     """
     channels = settings.channels
-    true, known = _MeanTree(tree, colors, channels), _MeanTree(state, state_colors, channels)
+    true, known = _MeanTree(tree, colors, channels, importance), _MeanTree(state, state_colors, channels)
     mixer = new_mixer(COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS)
     quantiser = Quantiser(
         settings.steps(), PRICE, new_counters(channels * NUMBER_COUNTERS), new_counters(SIGN_COUNTERS)
@@ -173,6 +183,7 @@ def code_cell_colors(
             child_weights=true.weights[number + 1],
             child_means=np.zeros((count, channels), dtype=np.int64),
             true_means=true.means[number + 1],
+            child_importance=true.importance[number + 1],
             child_near=own.near,
             state_means=known.means[number + 1],
             state_near=beside.near,

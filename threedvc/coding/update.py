@@ -119,11 +119,14 @@ def _code_update(
     decoded = np.empty((0, 3), dtype=np.int16)
     if len(colored.codes):
         settings = settings.code(coder)
-        true = np.zeros((len(colored.codes), 3), dtype=np.int16)
+        true, importance = np.zeros((len(colored.codes), 3), dtype=np.int16), None
         if update is not None:
             both = np.concatenate([given.added, given.recolored])
-            true = _sorted_codes(both, cube, np.concatenate([given.added_colors, given.recolored_colors]))[1][0]
-        decoded = code_cell_colors(coder, colored, true, state, state_colors, settings)
+            codes = morton_codes(both, cube.origin)
+            order = np.argsort(codes, kind="stable")
+            true = np.concatenate([given.added_colors, given.recolored_colors])[order]
+            importance = update.importance[order] if update.importance is not None else None
+        decoded = code_cell_colors(coder, colored, true, state, state_colors, settings, importance=importance)
     return _update(
         *_in_order(added, cube, decoded[np.searchsorted(colored.codes, added)]),
         _in_order(removed, cube)[0],

@@ -17,6 +17,7 @@ from threedvc.kernels.color_transform import (
     MAX_VALUE,
     ColorLevel,
     load_children,
+    merge_importance,
     merge_pairs,
     predict_child,
     split_pairs,
@@ -38,6 +39,7 @@ CODING_ORDER = (4, 2, 6, 1, 3, 5, 7)
 MAX_ENERGY = 1000
 MAX_QUANTISED = 1 << 22
 NUMBER_LIMIT = 255
+LEAST_IMPORTANCE = 1e-3
 
 
 class Quantiser(NamedTuple):
@@ -72,6 +74,8 @@ class Block(NamedTuple):
         (8, channels) int64.
     weights, left, right
         (8,) int64, see `merge_pairs`.
+    importance
+        (8,) float64, see `merge_importance`; of no meaning to a reader.
     """
 
     given: NDArray[np.int64]
@@ -80,6 +84,7 @@ class Block(NamedTuple):
     weights: NDArray[np.int64]
     left: NDArray[np.int64]
     right: NDArray[np.int64]
+    importance: NDArray[np.float64]
 
 
 @kernel
@@ -133,7 +138,7 @@ def set_contexts(
 
 
 @kernel
-def choose_quantised(residual: int, step: int, log_odds: int, price: int) -> int:
+def choose_quantised(residual: int, step: int, log_odds: int, price: float) -> int:
     """Return the quantised value of least squared error plus price times estimated bits.
 
     `log_odds` are those of a value other than zero.
@@ -198,7 +203,8 @@ def code_coefficient(
         set_contexts(mixer, block, place, channel, height, around, slope, magnitude)
         log_odds = mixed_log_odds(mixer)
         if magnitude == 0 and coder.state[READING] == 0:
-            value = choose_quantised(block.given[place, channels + channel] - guess, step, log_odds, quantiser.price)
+            price = quantiser.price / max(block.importance[place], LEAST_IMPORTANCE)
+            value = choose_quantised(block.given[place, channels + channel] - guess, step, log_odds, price)
         if code_mixed_bit(coder, 1 if abs(value) > magnitude else 0, mixer, log_odds) == 0:
             break
         magnitude += 1
@@ -219,8 +225,9 @@ def open_block(level: ColorLevel, node: int, block: Block) -> None:
         if level.masks[node] >> octant & 1:
             predict_child(level, node, octant, child, block.given)
             child += 1
-    load_children(level, node, block.given, block.weights)
+    load_children(level, node, block.given, block.weights, block.importance)
     merge_pairs(block.given, block.weights, block.left, block.right)
+    merge_importance(block.importance, block.left, block.right)
     block.quantised.fill(0)
     for channel in range(level.means.shape[1]):
         block.decoded[0, channel] = level.means[node, channel]
@@ -252,6 +259,7 @@ def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLe
         np.zeros(8, np.int64),
         np.zeros(8, np.int64),
         np.zeros(8, np.int64),
+        np.zeros(8, np.float64),
     )
     mixer.inputs[COLOR_MODELS] = 256
     for i in range(len(level.masks)):

@@ -24,6 +24,7 @@ __all__ = [
     "ColorLevel",
     "from_luma_chroma",
     "load_children",
+    "merge_importance",
     "merge_pairs",
     "predict_child",
     "rounded_ratio",
@@ -55,8 +56,9 @@ class ColorLevel(NamedTuple):
         (m,) int64 weights of the children.
     child_means
         (m, channels) int64 reconstructed means of the children (written).
-    true_means
-        (m, channels) int64 means of the children before coding; of no meaning to a reader.
+    true_means, child_importance
+        (m, channels) int64 means of the children before coding, and (m,) float32 how much the error of their cells
+        counts on an average; of no meaning to a reader.
     child_near
         (m, 27) int32 children around the children.
     state_means, state_near
@@ -73,6 +75,7 @@ class ColorLevel(NamedTuple):
     child_weights: NDArray[np.int64]
     child_means: NDArray[np.int64]
     true_means: NDArray[np.int64]
+    child_importance: NDArray[np.float32]
     child_near: NDArray[np.int32]
     state_means: NDArray[np.int64]
     state_near: NDArray[np.int32]
@@ -185,6 +188,24 @@ def merge_pairs(
 
 
 @kernel
+def merge_importance(importance: NDArray[np.float64], left: NDArray[np.int64], right: NDArray[np.int64]) -> None:
+    """Turn how much errors of the children (8,) count into how much those of the differences of `merge_pairs` count.
+
+    An error of a difference is shared by the pair in inverse proportion to their weights.
+    """
+    for axis in range(3):
+        reach = 1 << axis
+        for a in range(0, 8, 2 * reach):
+            b = a + reach
+            total = left[b] + right[b]
+            if total == 0:
+                continue
+            first, second = importance[a], importance[b]
+            importance[a] = (left[b] * first + right[b] * second) / total
+            importance[b] = (right[b] * first + left[b] * second) / total
+
+
+@kernel
 def split_pairs(means: NDArray[np.int64], left: NDArray[np.int64], right: NDArray[np.int64]) -> None:
     """Turn the mean in place 0 and the differences in places 1..7 back into means (8, channels); see `merge_pairs`."""
     for axis in range(2, -1, -1):
@@ -204,17 +225,25 @@ def split_pairs(means: NDArray[np.int64], left: NDArray[np.int64], right: NDArra
 
 
 @kernel
-def load_children(level: ColorLevel, node: int, given: NDArray[np.int64], weights: NDArray[np.int64]) -> None:
+def load_children(
+    level: ColorLevel,
+    node: int,
+    given: NDArray[np.int64],
+    weights: NDArray[np.int64],
+    importance: NDArray[np.float64],
+) -> None:
     """Write the true means of a node's children behind the predicted ones in `given` (8, 2 * channels), and weights.
 
-    `weights` (8,) is zero for absent children.
+    `weights` and `importance` (8,) are zero for absent children.
     """
     channels = level.means.shape[1]
     row = level.first[node]
     for octant in range(8):
         weights[octant] = 0
+        importance[octant] = 0.0
         if level.masks[node] >> octant & 1:
             weights[octant] = level.child_weights[row]
+            importance[octant] = level.child_importance[row]
             for channel in range(channels):
                 given[octant, channels + channel] = level.true_means[row, channel]
             row += 1
