@@ -12,6 +12,7 @@ import click
 
 from threedvc.cli.options import (
     bit_rate,
+    focus,
     frame_range,
     json_option,
     length,
@@ -58,6 +59,9 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colours.  [default: 50]")
 @click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
               help="Bits that tell where in a cell the surface passes.  [default: 1 if cheap]")  # fmt: skip
+@click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
+              help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
+              )  # fmt: skip
 @click.option("--causal", is_flag=True, help="The same as --preset live.")
 @click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
 @threads_option
@@ -109,6 +113,7 @@ def _configuration(choices: dict[str, Any]) -> EncoderConfig:
         motion=Motion(choices["motion"]),
         sensor=Sensor(choices["sensor"]),
         segmentation=choices["segment"],
+        focus=choices["focus"],
         threads=choices["threads"] or default_threads(),
     )
     if choices["quality"] is not None:

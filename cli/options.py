@@ -19,12 +19,13 @@ import click
 from threedvc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from threedvc.config import SegmentationConfig
+    from threedvc.config import Focus, SegmentationConfig
 
 __all__ = [
     "OUTPUTS",
     "bit_rate",
     "decoded_outputs",
+    "focus",
     "frame_range",
     "frame_span",
     "json_option",
@@ -47,6 +48,9 @@ RATE_EXPONENT = {"": 0, "k": 3, "m": 6}
 RANGE = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 SIZE = re.compile(r"(\d+)[xX](\d+)")
 LABEL_LIMIT = 256
+OBJECT = re.compile(r"\s*\d{1,3}\s*")
+BOUND = r"\s*(-?[\d.]*\d(?:mm|cm|m)?)\s*"
+BOX = re.compile(",".join([f"{BOUND}\\.\\.{BOUND}"] * 3))
 
 
 def length(text: str) -> float:
@@ -130,6 +134,22 @@ def segmentation(text: str) -> SegmentationConfig:
     if not text.startswith("depth:") or not dots:
         raise click.BadParameter(f"{text!r} is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m")
     return SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=length(near), far_m=length(far))
+
+
+def focus(text: str) -> Focus:
+    """Return the focus of ``OBJECT=WEIGHT`` or ``X0..X1,Y0..Y1,Z0..Z1=WEIGHT`` (signed lengths)."""
+    from threedvc.config import Focus
+
+    place, _, weight = text.rpartition("=")
+    if OBJECT.fullmatch(place):
+        return Focus(weight=positive_number(weight), number=int(place))
+    box = BOX.fullmatch(place)
+    if box is None:
+        raise click.BadParameter(
+            f"{text!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 1=4 or -20cm..20cm,0..1,0.5..2=4"
+        )
+    x0, x1, y0, y1, z0, z1 = (-length(each[1:]) if each[0] == "-" else length(each) for each in box.groups())
+    return Focus(weight=positive_number(weight), box_m=(x0, x1, y0, y1, z0, z1))
 
 
 def stream_argument(function: F) -> F:

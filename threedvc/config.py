@@ -14,6 +14,7 @@ __all__ = [
     "AppearanceConfig",
     "ColorConfig",
     "EncoderConfig",
+    "Focus",
     "FusionConfig",
     "Motion",
     "PoseConfig",
@@ -30,6 +31,8 @@ __all__ = [
 MIN_VOXEL_SIZE_M = 0.0005
 MAX_VOXEL_SIZE_M = 1.0
 MIN_STEP, MAX_STEP = 0.5, 255.0
+MAX_FOCUS = 100.0
+MAX_OBJECT = 255
 MIN_BPS = 500
 MIN_LIVE_BPS = 8000
 MIDDLE_QUALITY = 50
@@ -156,6 +159,36 @@ class AppearanceConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Focus:
+    """Where squared errors of colours count more than elsewhere, or less: an object or a part of the background.
+
+    Attributes
+    ----------
+    weight
+        By how much more.
+    number
+        The object, or None.
+    box_m
+        ``x0, x1, y0, y1, z0, z1``, bounds in metres in the background's frame, or None.
+    """
+
+    weight: float
+    number: int | None = None
+    box_m: tuple[float, float, float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 / MAX_FOCUS <= self.weight <= MAX_FOCUS:
+            raise ConfigError(f"focus weight {self.weight:g} must be within {1 / MAX_FOCUS:g}..{MAX_FOCUS:g}")
+        if (self.number is None) == (self.box_m is None):
+            raise ConfigError("a focus is on an object or on a box; give one of them")
+        if self.number is not None and not 0 <= self.number <= MAX_OBJECT:
+            raise ConfigError(f"focus on object {self.number}: objects are numbered from 0 to {MAX_OBJECT}")
+        if self.box_m is not None and not all(self.box_m[k] < self.box_m[k + 1] for k in (0, 2, 4)):
+            bounds = ",".join(f"{self.box_m[k]:g}..{self.box_m[k + 1]:g}" for k in (0, 2, 4))
+            raise ConfigError(f"focus on the empty box {bounds}; give it as X0..X1,Y0..Y1,Z0..Z1 with rising bounds")
+
+
+@dataclass(frozen=True, kw_only=True)
 class PoseConfig:
     """Pose coding: quantisation steps; None: about a third of a pixel."""
 
@@ -179,6 +212,8 @@ class EncoderConfig:
         Measurements beyond are ignored, or None.
     motion, sensor
         See `Motion` and `Sensor`.
+    focus
+        Where errors of colours count more; all that a place lies in are multiplied.
     cell_factor
         By how much wider cells are than the object's distance suggests; of no meaning with `voxel_size_m`.
     bitrate_bps
@@ -206,6 +241,7 @@ class EncoderConfig:
     color: ColorConfig = field(default_factory=ColorConfig)
     appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
+    focus: tuple[Focus, ...] = ()
     cell_factor: float = 1.0
     bitrate_bps: float | None = None
     live_buffer_s: float = 1.0

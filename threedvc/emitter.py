@@ -26,6 +26,7 @@ from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
 from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.finishing import Finish
+from threedvc.focus import finer, focused
 from threedvc.frame import NANOSECONDS, SequenceInfo
 from threedvc.limits import MAX_COUNT
 from threedvc.model_update import ModelUpdate
@@ -283,11 +284,17 @@ class Emitter:
 
         Cells are taken by blocks, as single ones would cost more, in the order of how often the blocks were seen.
         """
-        cells = sent.model.cells()
-        payload, decoded = encode_update_with_result(update, *cells, self._color)
+        cells, size = sent.model.cells(), sent.model.voxel_size_m
+
+        def encoded() -> tuple[bytes, ModelUpdate]:
+            focus, number = self._config.focus, sent.item.number
+            weighted, settings = focused(update, self._color, focus, number, size)
+            return encode_update_with_result(weighted, *cells, settings)
+
+        payload, decoded = encoded()
         while len(payload) > room and not update.empty:
             update = surest_part(update, sent.item.evidence, 0.9 * room / len(payload))
-            payload, decoded = encode_update_with_result(update, *cells, self._color)
+            payload, decoded = encoded()
         return update, payload, decoded
 
     def _update(self, sent: _Sent, until_frame: int | None) -> ModelUpdate:
@@ -316,7 +323,7 @@ class Emitter:
         finished = self._finished
         if finished is None or finished.backdrop is None or not can_encode_pictures():
             return None
-        price = 8 * luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell
+        price = 8 * luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell / self._weight(0)
         payload, cost = finished.backdrop.best(price)
         return payload if cost < self._cost_of_cells(price) else None
 
@@ -337,7 +344,12 @@ class Emitter:
     def _size_of(self, surface: Surface) -> tuple[int, DecodedModel]:
         """Return the bytes of a surface sent at once, and the model with it."""
         voxel_size_m = self._scene.objects[0].evidence.voxel_size_m
-        return one_shot(surface, voxel_size_m, self._config.appearance.relief_bits or 0, self._color)
+        settings = finer(self._color, self._weight(0))
+        return one_shot(surface, voxel_size_m, self._config.appearance.relief_bits or 0, settings)
+
+    def _weight(self, number: int) -> float:
+        """Return how much errors count of an object as a whole."""
+        return float(np.prod([focus.weight for focus in self._config.focus if focus.number == number]))
 
     def _relief(self, sent: _Sent, frame: int) -> Iterator[Packet]:
         """Yield where in the cells that were just sent the surface passes."""
@@ -358,7 +370,9 @@ class Emitter:
             return
         owners = sent.model.index.locate(texels // sent.model.texture.scale)
         colors = self._finished.colors.texel_colors(sent.item.number, texels, sent.model.color.reshape(-1, 3)[owners])
-        payload, decoded = encode_texture(sent.model, texels, colors, self._color)
+        payload, decoded = encode_texture(
+            sent.model, texels, colors, finer(self._color, self._weight(sent.item.number))
+        )
         sent.model.texture.paint(texels, decoded)
         yield TextureHeader(object_id=sent.item.number, frame=frame).packet(payload)
 

@@ -14,6 +14,7 @@ import pytest
 from threedvc.cli.files import write_file
 from threedvc.cli.options import (
     decoded_outputs,
+    focus,
     frame_range,
     frame_span,
     length,
@@ -23,8 +24,10 @@ from threedvc.cli.options import (
     segmentation,
 )
 from threedvc.cli.progress import Progress
-from threedvc.config import SegmentationConfig, SegmentationMode
+from threedvc.config import Focus, SegmentationConfig, SegmentationMode
 from threedvc.errors import ConfigError, OutputError
+
+FOCUS_FORM = "{!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 1=4 or -20cm..20cm,0..1,0.5..2=4"
 
 
 @pytest.mark.parametrize(
@@ -49,6 +52,8 @@ from threedvc.errors import ConfigError, OutputError
         (picture_size, "640x480", (640, 480)),
         (decoded_outputs, "depth,color", frozenset({"color", "depth"})),
         (object_numbers, "3,1,3", (1, 3)),
+        (focus, "1=4", Focus(weight=4, number=1)),
+        (focus, "-20cm..0.2,0..1m,5mm..2=0.5", Focus(weight=0.5, box_m=(-0.2, 0.2, 0, 1, 0.005, 2))),
         (segmentation, "none", SegmentationConfig(mode=SegmentationMode.NONE)),
         (segmentation, "masks", SegmentationConfig(mode=SegmentationMode.MASKS)),
         (segmentation, "auto", SegmentationConfig()),
@@ -78,6 +83,11 @@ def test_value(parse: Callable[[str], Any], text: str, value: Any) -> None:
         (decoded_outputs, "", "'' names something else than color, depth, labels"),
         (object_numbers, "1,256", "'1,256' is not a list of object numbers from 0 to 255; write 1,3"),
         (object_numbers, "1,,2", "'1,,2' is not a list of object numbers from 0 to 255; write 1,3"),
+        (focus, "abc", FOCUS_FORM.format("abc")),
+        (focus, "=4", FOCUS_FORM.format("=4")),
+        (focus, "0..1,0..1=4", FOCUS_FORM.format("0..1,0..1=4")),
+        (focus, "1=", "'' is not a positive number"),
+        (focus, "1=-2", "'-2' is not a positive number"),
         (segmentation, "depth", "'depth' is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"),
         (segmentation, "0.1..1", "'0.1..1' is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"),
         (segmentation, "depth:1..x", "'x' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
@@ -87,6 +97,19 @@ def test_wrong_form_is_a_usage_error(parse: Callable[[str], Any], text: str, mes
     with pytest.raises(click.BadParameter) as caught:
         parse(text)
     assert caught.value.message == message
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1=1000", r"focus weight 1000 must be within 0\.01\.\.100"),
+        ("300=2", "focus on object 300: objects are numbered from 0 to 255"),
+        ("1..0,0..1,0..1=2", r"focus on the empty box 1\.\.0,0\.\.1,0\.\.1; give it as X0\.\.X1"),
+    ],
+)
+def test_senseless_focus_is_a_config_error(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        focus(text)
 
 
 @pytest.mark.parametrize("text", ["5:5", "9:3", ":0"])
