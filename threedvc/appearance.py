@@ -61,6 +61,7 @@ PHASES = ((0, 0), (1, 2), (3, 1), (2, 3))
 SMOOTHNESS = 0.3
 ANCHOR = 1e-3
 STEPS = 12
+SPREADS = 3
 PARTS = 4
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 BLURS_PX = (2.0, 1.0)
@@ -348,11 +349,17 @@ class JoinedSamples:
 
 
 def shown_shares(colors: ColorField, samples: Iterable[FrameSamples]) -> Floats:
-    """Return how many samples show each numbered cell (n,), shared among the cells that a sample is made of."""
+    """Return how many samples show each numbered cell (n,), averaged with the cells about it.
+
+    Samples are few beside cells: by itself a cell would count by chance.
+    """
     shares = np.zeros(len(colors.values))
     for sample in samples:
         weights = sample.weights / np.maximum(sample.weights.sum(axis=1, dtype=np.float64), 1)[:, None]
         shares += np.bincount(sample.numbers.ravel(), weights.ravel(), len(shares))
+    count = 1 + np.count_nonzero(colors.neighbours >= 0, axis=1)
+    for _ in range(SPREADS):
+        shares = (shares + np.append(shares, 0)[colors.neighbours].sum(axis=1)) / count
     return shares.astype(np.float32)
 
 

@@ -36,6 +36,7 @@ from threedvc.frame import Frame, FrameSequence
 from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.motion import Script
 from threedvc.pose import Pose, identity, inverse
+from threedvc.rate_control import error_at
 from threedvc.readout import REGION_SHIFT, Surface, read_surface
 from threedvc.refinement import mean_misfit, misfit_frames
 from threedvc.rendering import Renderer
@@ -47,8 +48,8 @@ __all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
 SAMPLES = 2_000_000
 TRIAL_SAMPLES = 500_000
 TRIAL_STEPS = (40.0, 24.0, 14.0, 8.0)
-DEPTH_SHARE = 0.25
-"""A tenth off the misfit of the depth counts as much as about a tenth of a decibel of colours."""
+DEPTH_SHARE = 0.5
+"""A tenth off the misfit of the depth counts as much as about a fifth of a decibel of colours."""
 LEAST_SIGHT = 0.2
 """Share of the sight of the cells around that a cell needs; each of the others costs twice an average one."""
 LEAST_IMPORTANCE = np.float32(0.02)
@@ -159,8 +160,7 @@ def trial_error(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | No
     fit.take_samples()
     fit.fit_colors()
     sizes, errors = zip(*map(fit.coded, TRIAL_STEPS), strict=True)
-    error = float(np.interp(np.log(room_bytes), np.log(sizes), errors))
-    return error + DEPTH_SHARE * float(np.log(fit.depth_misfit() + 1e-4))
+    return error_at(room_bytes, sizes, errors) + DEPTH_SHARE * float(np.log(fit.depth_misfit() + 1e-4))
 
 
 class _Fit:

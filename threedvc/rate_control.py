@@ -9,6 +9,7 @@ itself. A live encoder keeps a leaky bucket: what does not fit waits, poses firs
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import TypeVar
 
 import numpy as np
@@ -24,6 +25,7 @@ __all__ = [
     "best_cells",
     "cell_factor",
     "closest_below",
+    "error_at",
     "stream_bytes",
     "surface_room",
 ]
@@ -38,8 +40,6 @@ LEAST_STEP, GREATEST_STEP = 0.5, 160.0
 TRIALS = 9
 NARROWER = 0.8
 MAX_NARROWINGS = 3
-NEARLY_EQUAL = 0.01
-"""Difference of logarithms of squared errors, about 0.04 dB."""
 CLOSE = 0.985
 FINER = 8.0
 
@@ -77,22 +77,38 @@ def best_cells(error_of: Callable[[float], float]) -> float:
     Parameters
     ----------
     error_of
-        Gives the logarithm of the squared error with cells wider by a factor.
+        Gives the error with cells wider by a factor.
 
     Returns
     -------
     float
-        The factor of the least error, or a smaller one whose error is a little larger: narrow cells serve the depth.
+        The factor of the least error; between those tried, where a parabola through the best and its neighbours has
+        its least value.
     """
-    errors = {1.0: error_of(1.0)}
-    for power in range(1, MAX_NARROWINGS + 1):
-        errors[NARROWER**power] = error_of(NARROWER**power)
-        if errors[NARROWER**power] > min(errors.values()) + NEARLY_EQUAL:
-            break
-    factor = min(factor for factor, error in errors.items() if error <= min(errors.values()) + NEARLY_EQUAL)
-    if factor == 1 and error_of(1 / NARROWER) < errors[1.0] - NEARLY_EQUAL:
-        return 1 / NARROWER
-    return factor
+    errors = {0: error_of(1.0), 1: error_of(NARROWER)}
+    while min(errors, key=errors.__getitem__) == max(errors) < MAX_NARROWINGS:
+        power = max(errors) + 1
+        errors[power] = error_of(NARROWER**power)
+    if errors[0] <= errors[1]:
+        errors[-1] = error_of(1 / NARROWER)
+    best = min(errors, key=errors.__getitem__)
+    wider, narrower = errors.get(best - 1, inf), errors.get(best + 1, inf)
+    bend = wider + narrower - 2 * errors[best]
+    beside = 0.5 * (wider - narrower) / bend if 0 < bend < inf else 0.0
+    factor = float(NARROWER ** (best + beside))
+    return factor if max(factor, 1 / factor) > WORTHWHILE**0.5 else 1.0
+
+
+def error_at(room_bytes: float, sizes: Sequence[int], errors: Sequence[float]) -> float:
+    """Return the error at a number of bytes, linear in their logarithm between given sizes, which ascend.
+
+    Below the least size it rises as between the first two; beyond the greatest it stays.
+    """
+    logs = np.log(sizes)
+    if room_bytes < sizes[0]:
+        slope = (errors[1] - errors[0]) / (logs[1] - logs[0])
+        return float(errors[0] + slope * (np.log(room_bytes) - logs[0]))
+    return float(np.interp(np.log(room_bytes), logs, errors))
 
 
 def closest_below(

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import pytest
 
@@ -23,6 +25,7 @@ from threedvc.rate_control import (
     best_cells,
     cell_factor,
     closest_below,
+    error_at,
     stream_bytes,
     surface_room,
 )
@@ -54,15 +57,25 @@ def test_cells_follow_the_rate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("best", "edge"), [(1.0, 0.8), (0.64, 0.512), (0.1, 0.512), (1.6, 1.25)], ids=["as is", "narrow", "least", "wide"]
+    ("best", "edge"),
+    [(1.0, 1.0), (1.02, 1.0), (0.72, 0.72), (0.64, 0.64), (0.1, 0.512), (1.1, 1.1), (1.6, 1.25)],
+    ids=["as is", "nearly", "between", "narrow", "least", "wider", "widest"],
 )
 def test_cells_of_the_least_error_are_found(best: float, edge: float) -> None:
     assert best_cells(lambda factor: 0.1 * np.log(factor / best) ** 2) == pytest.approx(edge)
 
 
-def test_narrower_cells_are_not_taken_for_a_larger_error() -> None:
-    errors = iter([1.0, 1.2, 1.1])
-    assert best_cells(lambda factor: next(errors)) == 1
+def test_cells_that_may_not_be_are_not_taken() -> None:
+    assert best_cells(lambda factor: inf if factor < 0.7 else factor) == pytest.approx(0.8)
+    assert best_cells(lambda factor: inf if factor < 1 else 1.0) == 1
+
+
+def test_errors_between_and_below_sizes() -> None:
+    sizes, errors = [1000, 2000, 4000], [3.0, 2.0, 1.5]
+    assert error_at(2000, sizes, errors) == pytest.approx(2.0)
+    assert error_at(2000 * 2**0.5, sizes, errors) == pytest.approx(1.75)
+    assert error_at(500, sizes, errors) == pytest.approx(4.0)
+    assert error_at(10**6, sizes, errors) == pytest.approx(1.5)
 
 
 def test_a_bucket_never_gives_more_than_its_rate_and_buffer() -> None:
