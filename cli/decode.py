@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["decode"]
 
+FILTERS = ("all", "none", "silhouettes", "surfaces")
+
 
 @click.command(short_help="Decode a stream into a folder of frames.")
 @stream_argument
@@ -35,6 +37,10 @@ __all__ = ["decode"]
 @click.option("--objects", type=object_numbers, metavar="LIST", help="Draw only these objects, such as 0,2.")
 @click.option("--camera-path", type=click.Path(path_type=Path), metavar="FILE",
               help="Draw from these viewpoints: lines as in poses.txt.")  # fmt: skip
+@click.option("--filter", "filter_parts", type=click.Choice(FILTERS), default="all", show_default=True,
+              help="Where to apply the stream's filter of colour pictures.")  # fmt: skip
+@click.option("--supersample", type=click.IntRange(1, 4), metavar="1..4",
+              help="Rays per pixel side for colour.  [default: 2 on small pictures, else 1]")  # fmt: skip
 @threads_option
 def decode(
     source: Path,
@@ -44,13 +50,15 @@ def decode(
     size: tuple[int, int] | None,
     objects: tuple[int, ...] | None,
     camera_path: Path | None,
+    filter_parts: str,
+    supersample: int | None,
     threads: int | None,
 ) -> None:
     """Decode INPUT.3dvc (- is standard input) into color/, depth/ and masks/ with the cameras and poses in OUTDIR.
 
     A stream that ends too early is decoded as far as it goes; the exit code is then 1.
     """
-    from threedvc.config import RenderConfig
+    from threedvc.config import FilterParts, RenderConfig
     from threedvc.formats.api import open_stream
     from threedvc.formats.sinks.plain import PlainSink
     from threedvc.parallel import default_threads
@@ -62,7 +70,11 @@ def decode(
         size=size,
         objects=objects,
         camera_path=None if camera_path is None else _camera_path(camera_path),
-        render=RenderConfig(threads=threads or default_threads()),
+        render=RenderConfig(
+            supersample=supersample,
+            filter_parts=FilterParts(filter_parts),
+            threads=threads or default_threads(),
+        ),
     )
     with Progress("decode", stream.info.frame_count) as progress, PlainSink(folder, stream.info, what=what) as sink:
         try:

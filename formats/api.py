@@ -208,6 +208,10 @@ class DecodedStream:
         header = StreamHeader.from_map(self._head.header)
         rig = rig_of(header)
         self._rig = rig if size is None else rig.resized(*size)
+        self._as_filmed = camera_path is None and (self._rig.color.width, self._rig.color.height) == (
+            rig.color.width,
+            rig.color.height,
+        )
         self._renderer = Renderer(self._rig, render)
         self._models: dict[int, RenderModel] = {}
         self.info = _info(header, self._rig, what)
@@ -268,6 +272,7 @@ class DecodedStream:
             T_shifted_camera=state.T_shifted_camera if filmed else None,
             backdrop=state.backdrop if self._objects is None or 0 in self._objects else None,
             lights={number: light for number, light in state.lights.items() if number in shown},
+            filters=state.filters if self._as_filmed else None,
         )
 
 

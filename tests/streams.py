@@ -204,7 +204,7 @@ def drawn(packets: Sequence[Packet]) -> list[NDArray[np.uint8]]:
             shown.setdefault(number, RenderModel(decoder.models[number])).refresh(2)
         picture = renderer.draw(
             shown, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
-            backdrop=state.backdrop, lights=state.lights,
+            backdrop=state.backdrop, lights=state.lights, filters=state.filters,
         )  # fmt: skip
         pictures.append(picture.color)
     assert decoder.complete

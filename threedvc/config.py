@@ -14,6 +14,7 @@ __all__ = [
     "AppearanceConfig",
     "ColorConfig",
     "EncoderConfig",
+    "FilterParts",
     "Focus",
     "FusionConfig",
     "Motion",
@@ -80,6 +81,25 @@ class SegmentationMode(StrEnum):
     NONE = "none"
     DEPTH = "depth"
     MASKS = "masks"
+
+
+class FilterParts(StrEnum):
+    """Where the filter of drawn pictures works."""
+
+    ALL = "all"
+    NONE = "none"
+    SILHOUETTES = "silhouettes"
+    SURFACES = "surfaces"
+
+    @property
+    def at_silhouettes(self) -> bool:
+        """Whether it works at silhouettes and near them."""
+        return self in (FilterParts.ALL, FilterParts.SILHOUETTES)
+
+    @property
+    def on_surfaces(self) -> bool:
+        """Whether it works elsewhere."""
+        return self in (FilterParts.ALL, FilterParts.SURFACES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,11 +335,14 @@ class RenderConfig:
     ----------
     supersample
         Rays per pixel side for colour, or None for 2 on small pictures and 1 on large ones.
+    filter_parts
+        Where the stream's filter of pictures is applied.
     threads
         Number of threads; pictures do not depend on it.
     """
 
     supersample: int | None = None
+    filter_parts: FilterParts = FilterParts.ALL
     threads: int = field(default_factory=default_threads)
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import Camera, CameraRig
+from threedvc.coding.filters import decode_filter
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.light import unpack_light
 from threedvc.coding.picture import decode_picture
@@ -30,6 +31,7 @@ from threedvc.packets import (
     BatchHeader,
     ClockHeader,
     EndHeader,
+    FilterHeader,
     GainHeader,
     LightHeader,
     ModelHeader,
@@ -46,6 +48,7 @@ from threedvc.packets import (
     type_name,
     unpack_batch,
 )
+from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, identity, inverse, make_pose
 from threedvc.rendering import Backdrop, Light
 from threedvc.report import StreamReport, unpack_report
@@ -64,6 +67,7 @@ IN_BATCHES = frozenset(
         PacketType.SHIFT,
         PacketType.GAIN,
         PacketType.BACKDROP,
+        PacketType.FILTER,
         PacketType.LIGHT,
         PacketType.CLOCK,
     }
@@ -90,6 +94,8 @@ class FrameState:
         What colours the background, or None.
     lights
         Light on objects, by number.
+    filters
+        Filter of the colour picture as filmed, or None.
     """
 
     index: int
@@ -100,6 +106,7 @@ class FrameState:
     gain: NDArray[np.int64]
     backdrop: Backdrop | None
     lights: Mapping[int, Light]
+    filters: PictureFilter | None
 
 
 def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
@@ -192,6 +199,7 @@ class Decoder:
         self._shifts: PoseCoder | None = None
         self._lights: dict[int, NDArray[np.float64]] = {}
         self._backdrop: Backdrop | None = None
+        self._filters: PictureFilter | None = None
         self._hung = False
         self._gain = NEUTRAL
         self._gains: GainCoder | None = None
@@ -285,6 +293,10 @@ class Decoder:
         elif packet.type == PacketType.BACKDROP:
             frame = BackdropHeader.from_map(packet.header).frame
             yield frame, lambda: self._hang(packet.payload)
+        elif packet.type == PacketType.FILTER:
+            assert self.header is not None
+            filters = decode_filter(packet.payload, self.header.grey)
+            yield FilterHeader.from_map(packet.header).frame, lambda: self._set_filters(filters)
         elif packet.type == PacketType.LIGHT:
             light = LightHeader.from_map(packet.header)
             self._known(light.object_id)
@@ -365,6 +377,9 @@ class Decoder:
     def _set_shift(self, pose: Pose) -> None:
         self._shift = pose
 
+    def _set_filters(self, filters: PictureFilter) -> None:
+        self._filters = filters
+
     def _set_gain(self, gain: NDArray[np.int64]) -> None:
         self._gain = gain
 
@@ -430,6 +445,7 @@ class Decoder:
             gain=self._gain,
             backdrop=self._backdrop,
             lights={number: self._light(number) for number in self._lights},
+            filters=self._filters,
         )
 
     def _light(self, number: int) -> Light:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from threedvc.camera import Camera
+from threedvc.coding.filters import encode_filter
 from threedvc.coding.gains import GainCoder
 from threedvc.coding.light import pack_light
 from threedvc.coding.picture import can_encode_pictures
@@ -36,6 +37,7 @@ from threedvc.packets import (
     BatchHeader,
     ClockHeader,
     EndHeader,
+    FilterHeader,
     GainHeader,
     LightHeader,
     ModelHeader,
@@ -48,6 +50,7 @@ from threedvc.packets import (
     TextureHeader,
     pack_batch,
 )
+from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, identity, inverse
 from threedvc.rate_control import LeakyBucket, stream_bytes
 from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface, surest_part
@@ -125,6 +128,8 @@ class Emitter:
         Colours and gains fitted to the pictures; None: the mean colours of the evidence, and no gains.
     picture_step
         Luma step that the quality of a backdrop follows; None: that of the cells.
+    filters
+        Filter of the pictures, or None.
     """
 
     def __init__(
@@ -133,9 +138,10 @@ class Emitter:
         config: EncoderConfig,
         finished: Finish | None = None,
         picture_step: float | None = None,
+        filters: PictureFilter | None = None,
     ) -> None:
         self._scene, self._config, self._info = scene, config, scene.info
-        self._finished = finished
+        self._finished, self._filters = finished, filters
         self._gains = GainCoder(scene.info.grey)
         self._guessed: dict[int, SceneObject] = {}
         if finished is not None and finished.guess is not None:
@@ -200,6 +206,9 @@ class Emitter:
         ]
         if not first and self._backdrop is not None:
             around.append(BackdropHeader(frame=first).packet(self._backdrop))
+        if not first and self._filters is not None:
+            payload = encode_filter(self._filters, self._info.grey)
+            around.append(FilterHeader(frame=first).packet(payload, critical=False))
         around += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
         needed = [packet for entry in entries for packet in (*entry.introduction, *entry.poses)]
         room = self._room(first, stop, [*around, *needed], last)

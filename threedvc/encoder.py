@@ -20,10 +20,12 @@ from threedvc.config import EncoderConfig, with_step
 from threedvc.decoder import Decoder
 from threedvc.emitter import Emitter
 from threedvc.errors import CorruptStream, SequenceError
+from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
 from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
+from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, inverse
 from threedvc.rate_control import (
     CLOSE,
@@ -54,7 +56,7 @@ TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.
 are about right, so whatever is not lost may be trusted."""
 WORTHWHILE_SHIFTS = 0.06
 """Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
-LEAST_CELL_FACTOR = 0.45
+LEAST_CELL_FACTOR = 0.5
 """Cells narrower than about two pixels are not tried: a decoder would draw them slowly."""
 OnFrame: TypeAlias = Callable[[FrameReport], None]
 
@@ -110,30 +112,41 @@ class Encoder:
         finished = None
         if again:
             finished = self._finish(cast(FrameSequence, frames), on_frame)
-        yield from self._rated(finished)
+        choices = self._rated(finished)
+        packets = self._everything(finished, *choices)
+        if finished is not None:
+            filters = fitted_filter(packets, cast(FrameSequence, frames), self.config.threads)
+            packets = packets if filters is None else self._everything(finished, *choices, filters)
+        yield from packets
 
-    def _rated(self, finished: Finish | None) -> list[Packet]:
-        """Return all packets, of the wanted number of bytes if there is one."""
-        target = self._target_bytes
-        if target is None:
-            return self._everything(finished, self.config)
+    def _rated(self, finished: Finish | None) -> tuple[EncoderConfig, float | None]:
+        """Return the choices, and the step of a backdrop, that give the wanted number of bytes if there is one."""
+        if self._target_bytes is None:
+            return self.config, None
+        target = self._target_bytes - (FILTER_BYTES if finished is not None else 0)
 
-        def made(step: float, picture_step: float | None = None) -> tuple[int, list[Packet]]:
-            config = replace(self.config, color=with_step(step))
-            packets = self._everything(finished, config, picture_step)
-            return stream_bytes(packets), packets
+        def config(step: float) -> EncoderConfig:
+            return replace(self.config, color=with_step(step))
 
-        step, size, packets = closest_below(made, target)
+        def made(step: float, picture_step: float | None = None) -> int:
+            return stream_bytes(self._everything(finished, config(step), picture_step))
+
+        step, size = closest_below(made, target)
         if size < CLOSE * target and finished is not None and finished.backdrop is not None:
             # Pictures come in leaps; cells fill what a leap leaves.
-            again = closest_below(lambda finer: made(finer, step), target, (step / FINER, step))
-            packets = again[2] if size < again[1] <= target else packets
-        return packets
+            finer, larger = closest_below(lambda finer: made(finer, step), target, (step / FINER, step))
+            if size < larger <= target:
+                return config(finer), step
+        return config(step), None
 
     def _everything(
-        self, finished: Finish | None, config: EncoderConfig, picture_step: float | None = None
+        self,
+        finished: Finish | None,
+        config: EncoderConfig,
+        picture_step: float | None = None,
+        filters: PictureFilter | None = None,
     ) -> list[Packet]:
-        emitter = self._emitter(finished, config, picture_step)
+        emitter = self._emitter(finished, config, picture_step, filters)
         return [emitter.stream(), *self._batches(emitter, 0, last=True), emitter.end()]
 
     @property
@@ -286,12 +299,13 @@ class Encoder:
         finished: Finish | None = None,
         config: EncoderConfig | None = None,
         picture_step: float | None = None,
+        filters: PictureFilter | None = None,
     ) -> Emitter:
         if not self.reports:
             raise SequenceError(f"{self.info.name} has no frames")
         if not self.config.causal and not any(item.evidence.index.count for item in self.scene.objects.values()):
             raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
-        return Emitter(self.scene, config or self.config, finished, picture_step)
+        return Emitter(self.scene, config or self.config, finished, picture_step, filters)
 
     def _batches(self, emitter: Emitter, first: int, *, last: bool) -> Iterator[Packet]:
         """Yield the batches of the frames from `first` on that were taken in."""

@@ -37,6 +37,7 @@ __all__ = [
     "BatchHeader",
     "ClockHeader",
     "EndHeader",
+    "FilterHeader",
     "GainHeader",
     "Header",
     "LightHeader",
@@ -91,6 +92,7 @@ class PacketType(IntEnum):
     BACKDROP = 16
     LIGHT = 17
     RELIEF = 18
+    FILTER = 19
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
@@ -357,6 +359,15 @@ class BackdropHeader(Header):
     """A picture that colours the background, as the colour camera of `frame` sees it, from that frame on."""
 
     packet_type: ClassVar[PacketType] = PacketType.BACKDROP
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterHeader(Header):
+    """The filter of colour pictures from `frame` on."""
+
+    packet_type: ClassVar[PacketType] = PacketType.FILTER
 
     frame: int = key("f", integer(0, MAX_FRAME))
 

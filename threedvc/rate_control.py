@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import TypeVar
 
 import numpy as np
 
@@ -42,8 +41,6 @@ NARROWER = 0.8
 MAX_NARROWINGS = 3
 CLOSE = 0.985
 FINER = 8.0
-
-Result = TypeVar("Result")
 
 
 def stream_bytes(packets: Sequence[Packet]) -> int:
@@ -112,16 +109,16 @@ def error_at(room_bytes: float, sizes: Sequence[int], errors: Sequence[float]) -
 
 
 def closest_below(
-    make: Callable[[float], tuple[int, Result]],
+    size_of: Callable[[float], int],
     target_bytes: float,
     steps: tuple[float, float] = (LEAST_STEP, GREATEST_STEP),
-) -> tuple[float, int, Result]:
-    """Find the largest result of at most `target_bytes`, or the smallest there is, by bisection of the step.
+) -> tuple[float, int]:
+    """Find the largest size of at most `target_bytes`, or the smallest there is, by bisection of the step.
 
     Parameters
     ----------
-    make
-        Gives the size and the result for a quantisation step; sizes fall as steps rise.
+    size_of
+        Gives the size for a quantisation step; sizes fall as steps rise.
     target_bytes
         Wanted size.
     steps
@@ -129,15 +126,15 @@ def closest_below(
 
     Returns
     -------
-    step, size, result
-        The step chosen, and what it gives.
+    step, size
+        The step chosen, and the size it gives.
     """
     low, high = np.log2(steps)
     step = np.log2(MIDDLE_STEP) if low < np.log2(MIDDLE_STEP) < high else (low + high) / 2
-    tried: list[tuple[float, int, Result]] = []
+    tried: list[tuple[float, int]] = []
     for _ in range(TRIALS):
-        size, result = make(float(2**step))
-        tried.append((float(2**step), size, result))
+        size = size_of(float(2**step))
+        tried.append((float(2**step), size))
         if size > target_bytes:
             low = step
         else:

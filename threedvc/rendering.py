@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +25,14 @@ from threedvc.kernels.render_blocks import build_block
 from threedvc.kernels.shading import relight, shade, shade_from_picture
 from threedvc.object_model import DecodedModel, shifted_blocks
 from threedvc.parallel import for_ranges
+from threedvc.picture_filter import PictureFilter, kinds_of_pixels
 from threedvc.pose import Pose, compose, identity, inverse
 from threedvc.ray_grid import RayGrid, cells_from_camera
 from threedvc.texture import ColorGrid
 
 __all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unknown"]
+
+Scalar = TypeVar("Scalar", np.float32, np.uint8)
 
 BORDERED_CELLS = 9**3
 SMALL_PICTURE = 320 * 240
@@ -89,11 +93,14 @@ class Picture:
         (h, w) float32 metres in the depth camera, 0 = nothing there.
     labels
         (h, w) uint8 object numbers in the depth camera, 0 = background or nothing.
+    kinds
+        (h, w) uint8 kinds of the colour picture's pixels, see `threedvc.picture_filter`; None without a filter.
     """
 
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     labels: NDArray[np.uint8]
+    kinds: NDArray[np.uint8] | None = None
 
 
 class RenderModel:
@@ -177,6 +184,7 @@ class Renderer:
         T_shifted_camera: Pose | None = None,
         backdrop: Backdrop | None = None,
         lights: Mapping[int, Light] | None = None,
+        filters: PictureFilter | None = None,
     ) -> Picture:
         """Draw one frame.
 
@@ -196,6 +204,8 @@ class Renderer:
             A picture that colours object 0 where it shows it; None: none.
         lights
             Light on objects, by number; the others look the same from all sides.
+        filters
+            Filter of the colour picture, of which the parts that `RenderConfig` names are applied; None: none.
 
         Returns
         -------
@@ -206,6 +216,8 @@ class Renderer:
         rig, rays = self.rig, self._depth_rays
         depth, labels = self.cast(rays, models, poses)
         picture = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
+        met: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
+        kinds = None
         still = T_shifted_camera is None or np.array_equal(T_shifted_camera, identity())
         if color and still and self._color_rays is rays:
             met = self.cast_guessed(rays, models, poses, depth, labels)
@@ -215,8 +227,12 @@ class Renderer:
             moved = {number: compose(T, poses[number]) for number in poses}
             met = self.cast_guessed(self._color_rays, models, moved, *self.cast(self._color_rays, models, moved))
             picture = self._pixels(*self._shade(self._color_rays, models, moved, *met, backdrop, lights or {}), gain)
+        if filters is not None and met is not None:
+            depths, numbers = self._first_rays(met[0]), self._first_rays(met[1])
+            kinds = kinds_of_pixels(depths, numbers, backdrop is not None)
+            picture = filters.of(self.config.filter_parts).apply(picture, kinds, self.config.threads)
         shape = (rig.depth.height, rig.depth.width)
-        return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape))
+        return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape), kinds=kinds)
 
     def cast(
         self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose]
@@ -364,6 +380,11 @@ class Renderer:
             )  # fmt: skip
 
         for_ranges(ray_range, len(depth), self.config.threads)
+
+    def _first_rays(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Return of values of the colour rays (rays,) those of every pixel's first one (h, w)."""
+        camera, s = self.rig.color, self.supersample
+        return np.ascontiguousarray(values.reshape(camera.height, s, camera.width, s)[:, 0, :, 0])
 
     def _pixels(
         self,

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update, morton_order
+from threedvc.coding.filters import MAX_FACTOR, decode_filter
 from threedvc.coding.relief import decode_relief, encode_relief
 from threedvc.errors import FormatError
 from threedvc.model_update import ModelUpdate
@@ -117,6 +118,15 @@ def test_changed_byte_of_a_relief(position: int, change: int) -> None:
 @given(st.integers(0, len(RELIEF) - 1))
 def test_cut_relief(length: int) -> None:
     shape_lawfully(RELIEF[:length])
+
+
+@given(st.binary(max_size=120), st.booleans())
+def test_random_filter(payload: bytes, grey: bool) -> None:
+    try:
+        filters = decode_filter(payload, grey)
+    except FormatError:
+        return
+    assert np.abs([filters.luma, filters.chroma]).max() <= MAX_FACTOR
 
 
 @given(st.binary(max_size=60), st.integers(0, 40))

@@ -8,9 +8,9 @@ file of this kind is left out.
 
 from __future__ import annotations
 
-import io
 import re
 import struct
+from io import BytesIO
 
 import cv2
 import numpy as np
@@ -71,7 +71,7 @@ def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool, *, thor
     """
     magnified = _magnification(picture, grey)
     planes = _planes(picture, grey, magnified)
-    file = io.BytesIO()
+    file = BytesIO()
     Image.fromarray(planes).convert("RGB").save(
         file,
         "AVIF",

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""Coding of the filter of drawn pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
+from threedvc.errors import CorruptStream
+from threedvc.kernels.entropy import NUMBER_COUNTERS
+from threedvc.picture_filter import KINDS, PAIRS, PictureFilter
+
+__all__ = ["MAX_FACTOR", "decode_filter", "encode_filter"]
+
+MAX_FACTOR = 127
+
+
+def encode_filter(filters: PictureFilter, grey: bool) -> bytes:
+    """Return the payload of a filter whose factors are within +-`MAX_FACTOR`; grey streams have that of luma alone."""
+    writer = RangeWriter()
+    _code(writer, filters, grey)
+    return writer.finish()
+
+
+def decode_filter(payload: bytes, grey: bool) -> PictureFilter:
+    """Return the filter of a payload.
+
+    Raises
+    ------
+    CorruptStream
+        If the payload does not hold one.
+    """
+    reader = RangeReader(payload)
+    filters = _code(reader, PictureFilter.none(), grey)
+    reader.finish()
+    return filters
+
+
+def _code(coder: RangeCoder, filters: PictureFilter, grey: bool) -> PictureFilter:
+    """Code for every kind whether it has a filter, then its factors: of luma, and of chroma against those."""
+    luma, chroma = (np.zeros((KINDS, PAIRS), dtype=np.int32) for _ in range(2))
+    counters = [new_counters(NUMBER_COUNTERS) for _ in range(2)]
+    for kind in range(KINDS):
+        if not coder.bit(bool(filters.luma[kind].any() or filters.chroma[kind].any())):
+            continue
+        for pair in range(PAIRS):
+            given = int(filters.luma[kind, pair]), int(filters.chroma[kind, pair])
+            of_luma = coder.signed(given[0], counters[0])
+            of_chroma = of_luma + (0 if grey else coder.signed(given[1] - given[0], counters[1]))
+            coder.check()
+            if max(abs(of_luma), abs(of_chroma)) > MAX_FACTOR:
+                raise CorruptStream("the factors of a filter are out of range; the stream is damaged")
+            luma[kind, pair], chroma[kind, pair] = of_luma, of_chroma
+    return PictureFilter(luma=luma, chroma=chroma)
