@@ -112,18 +112,30 @@ class Encoder:
         finished = None
         if again:
             finished = self._finish(cast(FrameSequence, frames), on_frame)
-        choices = self._rated(finished)
-        packets = self._everything(finished, *choices)
-        if finished is not None:
-            filters = fitted_filter(packets, cast(FrameSequence, frames), self.config.threads)
-            packets = packets if filters is None else self._everything(finished, *choices, filters)
-        yield from packets
+        if finished is None:
+            yield from self._everything(None, *self._rated(None, 0))
+        else:
+            yield from self._filtered(finished, cast(FrameSequence, frames))
 
-    def _rated(self, finished: Finish | None) -> tuple[EncoderConfig, float | None]:
-        """Return the choices, and the step of a backdrop, that give the wanted number of bytes if there is one."""
+    def _filtered(self, finished: Finish, frames: FrameSequence) -> list[Packet]:
+        """Return all packets, with a filter fitted to what they draw."""
+        choices = self._rated(finished, FILTER_BYTES)
+        packets = self._everything(finished, *choices)
+        plain_bytes = stream_bytes(packets)
+        filters = fitted_filter(packets, frames, self.config.threads)
+        if filters is not None:
+            packets = self._everything(finished, *choices, filters)
+        target, size = self._target_bytes, stream_bytes(packets)
+        if target is not None and not CLOSE**2 * target < size <= target:
+            choices = self._rated(finished, size - plain_bytes)
+            packets = self._everything(finished, *choices, filters)
+        return packets
+
+    def _rated(self, finished: Finish | None, filter_bytes: int) -> tuple[EncoderConfig, float | None]:
+        """Return the choices, and the step of a backdrop, that with a filter give the bytes wanted if there are any."""
         if self._target_bytes is None:
             return self.config, None
-        target = self._target_bytes - (FILTER_BYTES if finished is not None else 0)
+        target = self._target_bytes - filter_bytes
 
         def config(step: float) -> EncoderConfig:
             return replace(self.config, color=with_step(step))

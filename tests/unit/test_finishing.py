@@ -259,7 +259,7 @@ def test_pictures_taken_later_have_shifts_and_depth_keeps_its_poses() -> None:
     assert np.median(after) < 0.85 * np.median(before)
 
 
-@pytest.mark.parametrize("rate", [30e3, 90e3])
+@pytest.mark.parametrize("rate", [14e3, 30e3, 90e3])
 def test_a_file_meets_its_rate(rate: float) -> None:
     sequence = scene("room", 30)
     packets = encoded(sequence, replace(with_preset(FILE, Preset.FAST), bitrate_bps=rate))
