@@ -296,8 +296,8 @@ class Emitter:
         cells, size = sent.model.cells(), sent.model.voxel_size_m
 
         def encoded() -> tuple[bytes, ModelUpdate]:
-            focus, number = self._config.focus, sent.item.number
-            weighted, settings = focused(update, self._color, focus, number, size)
+            number = 0 if sent.model.guessed else sent.item.number
+            weighted, settings = focused(update, self._color, self._config.focus, number, size)
             return encode_update_with_result(weighted, *cells, settings)
 
         payload, decoded = encoded()

@@ -19,7 +19,7 @@ import numpy as np
 from threedvc.config import EncoderConfig, with_step
 from threedvc.decoder import Decoder
 from threedvc.emitter import Emitter
-from threedvc.errors import CorruptStream, SequenceError
+from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
@@ -109,6 +109,7 @@ class Encoder:
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
         self._fuse_all(frames, on_frame)
+        self._check_focus()
         finished = None
         if again:
             finished = self._finish(cast(FrameSequence, frames), on_frame)
@@ -116,6 +117,15 @@ class Encoder:
             yield from self._everything(None, *self._rated(None, 0))
         else:
             yield from self._filtered(finished, cast(FrameSequence, frames))
+
+    def _check_focus(self) -> None:
+        """Raise ConfigError if a focus is on an object that is not there; a live encoder cannot know."""
+        for focus in self.config.focus:
+            if focus.number is not None and focus.number not in self.scene.objects:
+                there = ", ".join(map(str, sorted(self.scene.objects)))
+                raise ConfigError(
+                    f"focus on object {focus.number}: {self.info.name} has object {there}; name one of them"
+                )
 
     def _filtered(self, finished: Finish, frames: FrameSequence) -> list[Packet]:
         """Return all packets, with a filter fitted to what they draw."""
@@ -125,9 +135,11 @@ class Encoder:
         filters = fitted_filter(packets, frames, self.config.threads)
         if filters is not None:
             packets = self._everything(finished, *choices, filters)
-        target, size = self._target_bytes, stream_bytes(packets)
-        if target is not None and not CLOSE**2 * target < size <= target:
-            choices = self._rated(finished, size - plain_bytes)
+        target, took = self._target_bytes, stream_bytes(packets) - plain_bytes
+        if target is None or plain_bytes > target - FILTER_BYTES:
+            return packets
+        if took > FILTER_BYTES or FILTER_BYTES - took > (1 - CLOSE) * target:
+            choices = self._rated(finished, took)
             packets = self._everything(finished, *choices, filters)
         return packets
 
@@ -146,9 +158,9 @@ class Encoder:
         step, size = closest_below(made, target)
         if size < CLOSE * target and finished is not None and finished.backdrop is not None:
             # Pictures come in leaps; cells fill what a leap leaves.
-            finer, larger = closest_below(lambda finer: made(finer, step), target, (step / FINER, step))
+            for_cells, larger = closest_below(lambda each: made(each, step), target, (step / FINER, step))
             if size < larger <= target:
-                return config(finer), step
+                return config(for_cells), step
         return config(step), None
 
     def _everything(
@@ -248,7 +260,7 @@ class Encoder:
                 self._take_cells(frames, on_frame, factor)
 
     def _try_cells(self, frames: FrameSequence, on_frame: OnFrame | None, shifts: Sequence[Pose] | None) -> None:
-        """Take those cells that draw the best pictures at the bit rate; among nearly equal ones the narrowest."""
+        """Take those cells that draw the best pictures at the bit rate, of some tried or between them."""
         room = self._cell_room
         if room is None:
             return

@@ -60,7 +60,9 @@ def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int
         assert decoder.header is not None
         renderer = renderer or Renderer(rig_of(decoder.header), RenderConfig(threads=threads))
         for number in state.T_camera_object:
-            models.setdefault(number, RenderModel(decoder.models[number])).refresh(threads)
+            if number not in models:
+                models[number] = RenderModel(decoder.models[number])
+            models[number].refresh(threads)
         equations.add(renderer, models, state, frames[state.index].color)
     assert decoder.header is not None
     total = sum(len(packet.payload) for packet in packets)

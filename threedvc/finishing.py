@@ -52,7 +52,7 @@ DEPTH_SHARE = 0.5
 """A tenth off the misfit of the depth counts as much as about a fifth of a decibel of colours."""
 LEAST_SIGHT = 0.2
 """Share of the sight of the cells around that a cell needs; each of the others costs twice an average one."""
-LEAST_IMPORTANCE = np.float32(0.02)
+LEAST_SHARE = np.float32(0.02)
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
 COLOR_FITS = 3
 LIGHT_FITS = 8
@@ -138,7 +138,7 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
     gains = fit.steady_gains()
     backdrop = fit.backdrop(gains)
     return Finish(
-        surfaces=fit.surfaces(without_background=backdrop is not None),
+        surfaces=fit.surfaces(background_apart=backdrop is not None),
         colors=fit.colors,
         gains=gains,
         shifts=fit.shifts,
@@ -295,10 +295,10 @@ class _Fit:
         rig = self._scene.info.rig
         return Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
 
-    def surfaces(self, *, without_background: bool = False) -> dict[int, Surface]:
+    def surfaces(self, *, background_apart: bool = False) -> dict[int, Surface]:
         """Return the surfaces with the colours so far, and how much these count, on an average 1.
 
-        The average can be taken without the background, as is right where its colours are not sent.
+        The background can have an average of its own, as is right where its colours may not be sent.
         """
         surfaces, colors = dict(self._surfaces), self.colors
         if self.guess is not None:
@@ -308,15 +308,16 @@ class _Fit:
             number: None if colors.textured(number) else colors.numbers_of(number, surface.cells)
             for number, surface in surfaces.items()
         }
-        cells = [mine for number, mine in numbers.items() if mine is not None and (number or not without_background)]
-        mean = float(seen[np.concatenate(cells)].mean()) if sum(map(len, cells)) else 0.0
+        groups = [[0], [number for number in numbers if number]] if background_apart else [list(numbers)]
+        importance: dict[int, Floats] = {}
+        for group in groups:
+            cells = {number: mine for number in group if (mine := numbers.get(number)) is not None and len(mine)}
+            mean = float(seen[np.concatenate(list(cells.values()))].mean()) if cells else 0.0
+            if mean:
+                importance |= {number: np.maximum(seen[mine] / mean, LEAST_SHARE) for number, mine in cells.items()}
         return {
-            number: replace(
-                surface,
-                colors=colors.cell_colors(number)[1],
-                importance=None if mine is None or not mean else np.maximum(seen[mine] / mean, LEAST_IMPORTANCE),
-            )
-            for (number, surface), mine in zip(surfaces.items(), numbers.values(), strict=True)
+            number: replace(surface, colors=colors.cell_colors(number)[1], importance=importance.get(number))
+            for number, surface in surfaces.items()
         }
 
     def steady_gains(self) -> NDArray[np.int64]:

@@ -39,6 +39,8 @@ LEAST_STEP, GREATEST_STEP = 0.5, 160.0
 TRIALS = 9
 NARROWER = 0.8
 MAX_NARROWINGS = 3
+RISES = 0.4, 1.0
+"""Least and greatest rise of the logarithm of an error as that of the bytes falls."""
 CLOSE = 0.985
 FINER = 8.0
 
@@ -99,12 +101,14 @@ def best_cells(error_of: Callable[[float], float]) -> float:
 def error_at(room_bytes: float, sizes: Sequence[int], errors: Sequence[float]) -> float:
     """Return the error at a number of bytes, linear in their logarithm between given sizes, which ascend.
 
-    Below the least size it rises as between the first two; beyond the greatest it stays.
+    Below the least size it rises about as between the first two, which say little where they hardly differ; beyond
+    the greatest it stays.
     """
-    logs = np.log(sizes)
+    logs = np.maximum.accumulate(np.log(sizes))
     if room_bytes < sizes[0]:
-        slope = (errors[1] - errors[0]) / (logs[1] - logs[0])
-        return float(errors[0] + slope * (np.log(room_bytes) - logs[0]))
+        apart = logs[1] - logs[0]
+        rise = (errors[0] - errors[1]) / apart if apart > 0 else 0.0
+        return float(errors[0] + np.clip(rise, *RISES) * (logs[0] - np.log(room_bytes)))
     return float(np.interp(np.log(room_bytes), logs, errors))
 
 

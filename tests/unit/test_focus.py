@@ -21,6 +21,7 @@ from threedvc.config import (
     with_preset,
 )
 from threedvc.encoder import Encoder
+from threedvc.errors import ConfigError
 from threedvc.focus import finer, focus_weights, focused
 from threedvc.model_update import ModelUpdate
 from threedvc.packets import Packet
@@ -88,7 +89,7 @@ def test_an_object_in_focus_gets_better_at_the_cost_of_the_rest() -> None:
     made = [list(Encoder(sequence.info, each).packets(sequence)) for each in (plain, replace(plain, focus=focus))]
     (background, objects), (background_beside, objects_in_focus) = (errors(sequence, packets) for packets in made)
     assert objects_in_focus < 0.95 * objects
-    assert background_beside > background
+    assert objects_in_focus / background_beside < 0.95 * objects / background
     assert stream_bytes(made[1]) < 1.05 * stream_bytes(made[0])
 
 
@@ -106,3 +107,10 @@ def test_a_box_in_focus_gets_better(causal: bool) -> None:
         squares.append(errors(sequence, packets)[0])
     assert squares[1] < squares[0]
     assert sizes[1] > 1.2 * sizes[0]
+
+
+def test_a_focus_on_an_object_that_is_not_there_is_refused() -> None:
+    sequence = scene("room", 3)
+    config = EncoderConfig(threads=2, sensor=Sensor.IDEAL, focus=(Focus(weight=4, number=7),), refine=False)
+    with pytest.raises(ConfigError, match="focus on object 7: room has object 0; name one of them"):
+        list(Encoder(sequence.info, config).packets(sequence))

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from streams import ListSequence, drawn
 from threedvc.coding.filters import MAX_FACTOR, decode_filter, encode_filter
+from threedvc.coding.range_coder import RangeWriter, new_counters
 from threedvc.config import EncoderConfig, FilterParts, Motion, Preset, RenderConfig, Sensor, with_preset
 from threedvc.decoder import Decoder
 from threedvc.encoder import Encoder
 from threedvc.errors import CorruptStream
 from threedvc.filtering import fitted_filter
 from threedvc.formats import api
+from threedvc.kernels.entropy import NUMBER_COUNTERS
 from threedvc.kernels.picture_filter import OFFSETS
 from threedvc.packets import BatchHeader, Packet, PacketType, pack_batch, unpack_batch
 from threedvc.picture_filter import KINDS, PAIRS, PictureFilter, kinds_of_pixels
@@ -121,8 +123,13 @@ def test_payload_comes_back(grey: bool) -> None:
 def test_impossible_factors_are_refused() -> None:
     filters = some_filter()
     filters.luma[2, 3] = MAX_FACTOR + 1
+    with pytest.raises(ValueError, match="within"):
+        encode_filter(filters, False)
+    writer, counters = RangeWriter(), new_counters(NUMBER_COUNTERS)
+    writer.bit(True)
+    writer.signed(MAX_FACTOR + 1, counters)
     with pytest.raises(CorruptStream, match="factors of a filter are out of range"):
-        decode_filter(encode_filter(filters, False), False)
+        decode_filter(writer.finish(), True)
     with pytest.raises(CorruptStream, match="ends too early"):
         decode_filter(encode_filter(some_filter(), False)[:10], False)
 
@@ -169,6 +176,7 @@ def test_threads_do_not_change_the_fit() -> None:
     assert one is not None
     assert two is not None
     np.testing.assert_array_equal(one.luma, two.luma)
+    np.testing.assert_array_equal(one.chroma, two.chroma)
 
 
 def test_live_streams_have_no_filter() -> None:

@@ -71,11 +71,18 @@ def test_cells_that_may_not_be_are_not_taken() -> None:
 
 
 def test_errors_between_and_below_sizes() -> None:
-    sizes, errors = [1000, 2000, 4000], [3.0, 2.0, 1.5]
-    assert error_at(2000, sizes, errors) == pytest.approx(2.0)
-    assert error_at(2000 * 2**0.5, sizes, errors) == pytest.approx(1.75)
-    assert error_at(500, sizes, errors) == pytest.approx(4.0)
-    assert error_at(10**6, sizes, errors) == pytest.approx(1.5)
+    sizes, errors = [1000, 2000, 4000], [3.0, 2.5, 2.25]
+    assert error_at(2000, sizes, errors) == pytest.approx(2.5)
+    assert error_at(2000 * 2**0.5, sizes, errors) == pytest.approx(2.375)
+    assert error_at(500, sizes, errors) == pytest.approx(3.5)
+    assert error_at(10**6, sizes, errors) == pytest.approx(2.25)
+
+
+def test_errors_below_sizes_that_say_little() -> None:
+    for sizes in ([18, 18, 18, 18], [95, 96, 97, 98]):
+        for errors in ([3.0, 3.0, 3.0, 3.0], [3.0, 2.95, 2.9, 2.9], [3.0, 3.01, 3.0, 3.0]):
+            assert 3.0 + 0.39 < error_at(sizes[0] / np.e, sizes, errors) < 3.0 + 1.01
+            assert error_at(sizes[-1] + 1, sizes, errors) == pytest.approx(errors[-1])
 
 
 def test_a_bucket_never_gives_more_than_its_rate_and_buffer() -> None:

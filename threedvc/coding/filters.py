@@ -16,7 +16,15 @@ MAX_FACTOR = 127
 
 
 def encode_filter(filters: PictureFilter, grey: bool) -> bytes:
-    """Return the payload of a filter whose factors are within +-`MAX_FACTOR`; grey streams have that of luma alone."""
+    """Return the payload of a filter; grey streams have that of luma alone.
+
+    Raises
+    ------
+    ValueError
+        If a factor is not within +-`MAX_FACTOR`.
+    """
+    if max(int(np.abs(filters.luma).max()), int(np.abs(filters.chroma).max())) > MAX_FACTOR:
+        raise ValueError(f"factors of a filter must be within +-{MAX_FACTOR}")
     writer = RangeWriter()
     _code(writer, filters, grey)
     return writer.finish()
