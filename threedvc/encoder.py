@@ -56,8 +56,9 @@ TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.
 are about right, so whatever is not lost may be trusted."""
 WORTHWHILE_SHIFTS = 0.06
 """Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
-LEAST_CELL_FACTOR = 0.5
-"""Cells narrower than about two pixels are not tried: a decoder would draw them slowly."""
+LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.5, 0.65
+"""Cells narrower than about two pixels are not tried, or three where colour and depth have rays of their own: a decoder
+would draw them slowly."""
 OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
@@ -265,13 +266,14 @@ class Encoder:
         if room is None:
             return
 
+        least = LEAST_CELL_FACTOR if shifts is None else LEAST_SHIFTED_FACTOR
         step = -(-len(frames) // TRIAL_FRAMES)
         some = ThinnedSequence(frames, step)
         script = {number: item.found[::step] for number, item in self.scene.objects.items()}
 
         def tried(factor: float) -> float:
             config = self._with_cells(factor)
-            if factor < 1 and config.cell_factor < LEAST_CELL_FACTOR:
+            if factor < 1 and config.cell_factor < least:
                 return inf
             scene = Scene(self.scene.info, config, script)
             for frame in some:

@@ -66,10 +66,10 @@ class PictureFilter:
         return result
 
 
-def planes_of(picture: NDArray[np.uint8]) -> NDArray[np.int16]:
-    """Return the planes (3, h + 4, w + 4) of a picture (h, w, 3), continued beyond its border."""
+def planes_of(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the planes (3, h + 4, w + 4) float32 of a picture (h, w, 3), continued beyond its border."""
     wider = cv2.copyMakeBorder(picture, MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE)
-    return np.ascontiguousarray(np.moveaxis(wider, -1, 0), dtype=np.int16)
+    return np.ascontiguousarray(np.moveaxis(wider, -1, 0), dtype=np.float32)
 
 
 def kinds_of_pixels(depth: NDArray[np.float32], labels: NDArray[np.uint8], with_backdrop: bool) -> NDArray[np.uint8]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The filter of drawn pictures, and the equations of its least squares, compiled."""
+"""The filter of drawn pictures, and the equations of its least squares, compiled.
+
+Floats hold integers below 2^24 here, so all sums are exact; as floats they are added eight at a time.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,14 @@ __all__ = ["MARGIN", "OFFSETS", "add_filter_equations", "filter_rows"]
 OFFSETS = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)], dtype=np.int64)
 """(6, 2) row and column of one pixel of each pair; the other lies opposite."""
 MARGIN = 2
-UNIT_BITS = 6
+UNIT = np.float32(1 / 256)
 
 
 @kernel
 def filter_rows(
     start: int,
     stop: int,
-    planes: NDArray[np.int16],
+    planes: NDArray[np.float32],
     kinds: NDArray[np.uint8],
     luma: NDArray[np.int32],
     chroma: NDArray[np.int32],
@@ -40,7 +43,7 @@ def filter_rows(
         (h, w, 3), written.
     """
     width = kinds.shape[1]
-    change = np.empty((3, width), dtype=np.int32)
+    change = np.empty((3, width), dtype=np.float32)
     for y in range(start, stop):
         first = 0
         while first < width:
@@ -48,43 +51,52 @@ def filter_rows(
             last = first + 1
             while last < width and kinds[y, last] == kind:
                 last += 1
-            if not (luma[kind].any() or chroma[kind].any()):
-                for x in range(first, last):
-                    for channel in range(3):
-                        result[y, x, channel] = planes[channel, y + MARGIN, x + MARGIN]
-                first = last
-                continue
-            change[:, first:last] = 0
+            change[:, first:last] = np.float32(0)
             for pair in range(len(OFFSETS)):
-                dy, dx = OFFSETS[pair, 0], OFFSETS[pair, 1]
                 c, more = chroma[kind, pair], luma[kind, pair] - chroma[kind, pair]
-                if c == 0 and more == 0:
-                    continue
+                if c != 0 or more != 0:
+                    add_pair(planes, y, OFFSETS[pair, 0], OFFSETS[pair, 1], first, last, 4 * c, more, change)
+            for channel in range(3):
                 for x in range(first, last):
-                    row, column = y + MARGIN, x + MARGIN
-                    red = np.int32(planes[0, row + dy, column + dx]) + planes[0, row - dy, column - dx]
-                    green = np.int32(planes[1, row + dy, column + dx]) + planes[1, row - dy, column - dx]
-                    blue = np.int32(planes[2, row + dy, column + dx]) + planes[2, row - dy, column - dx]
-                    red -= 2 * np.int32(planes[0, row, column])
-                    green -= 2 * np.int32(planes[1, row, column])
-                    blue -= 2 * np.int32(planes[2, row, column])
-                    shared = more * (red + 2 * green + blue)
-                    change[0, x] += 4 * c * red + shared
-                    change[1, x] += 4 * c * green + shared
-                    change[2, x] += 4 * c * blue + shared
-            half = 1 << (UNIT_BITS + 1)
-            for x in range(first, last):
-                for channel in range(3):
-                    value = planes[channel, y + MARGIN, x + MARGIN] + ((change[channel, x] + half) >> (UNIT_BITS + 2))
-                    result[y, x, channel] = min(max(value, 0), 255)
+                    step = np.floor((change[channel, x] + np.float32(128)) * UNIT)
+                    value = planes[channel, y + MARGIN, x + MARGIN] + step
+                    result[y, x, channel] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
             first = last
+
+
+@kernel
+def add_pair(
+    planes: NDArray[np.float32],
+    y: int,
+    dy: int,
+    dx: int,
+    first: int,
+    last: int,
+    own: int,
+    shared: int,
+    change: NDArray[np.float32],
+) -> None:
+    """Add what the pair at +-(dy, dx) gives to pixels ``first..last`` of row `y`, in 1/256."""
+    row, of_own, of_shared = y + MARGIN, np.float32(own), np.float32(shared)
+    for x in range(first, last):
+        column = x + MARGIN
+        red = planes[0, row + dy, column + dx] + planes[0, row - dy, column - dx]
+        green = planes[1, row + dy, column + dx] + planes[1, row - dy, column - dx]
+        blue = planes[2, row + dy, column + dx] + planes[2, row - dy, column - dx]
+        red -= np.float32(2) * planes[0, row, column]
+        green -= np.float32(2) * planes[1, row, column]
+        blue -= np.float32(2) * planes[2, row, column]
+        luma = of_shared * (red + np.float32(2) * green + blue)
+        change[0, x] += of_own * red + luma
+        change[1, x] += of_own * green + luma
+        change[2, x] += of_own * blue + luma
 
 
 @kernel
 def add_filter_equations(
     start: int,
     stop: int,
-    planes: NDArray[np.int16],
+    planes: NDArray[np.float32],
     kinds: NDArray[np.uint8],
     wanted: NDArray[np.uint8],
     matrix: NDArray[np.float64],
@@ -111,9 +123,9 @@ def add_filter_equations(
                 dy, dx = OFFSETS[pair, 0], OFFSETS[pair, 1]
                 for channel in range(3):
                     away[channel, pair] = (
-                        np.int32(planes[channel, y + MARGIN + dy, x + MARGIN + dx])
+                        planes[channel, y + MARGIN + dy, x + MARGIN + dx]
                         + planes[channel, y + MARGIN - dy, x + MARGIN - dx]
-                        - 2 * np.int32(planes[channel, y + MARGIN, x + MARGIN])
+                        - np.float32(2) * planes[channel, y + MARGIN, x + MARGIN]
                     )
                 of_luma[pair] = 0.25 * (away[0, pair] + 2.0 * away[1, pair] + away[2, pair])
             for channel in range(3):
