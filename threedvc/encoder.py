@@ -56,7 +56,7 @@ TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.
 are about right, so whatever is not lost may be trusted."""
 WORTHWHILE_SHIFTS = 0.06
 """Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
-LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.5, 0.65
+LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.45, 0.65
 """Cells narrower than about two pixels are not tried, or three where colour and depth have rays of their own: a decoder
 would draw them slowly."""
 OnFrame: TypeAlias = Callable[[FrameReport], None]
