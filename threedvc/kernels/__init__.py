@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-__all__ = ["kernel"]
+__all__ = ["inlined", "kernel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -48,11 +48,25 @@ def cache_directory() -> str | None:
 
 def kernel(function: F) -> F:
     """Compile a loop lazily, with a disk cache where one can be written."""
+    return _compiled(function, inline="never")
+
+
+def inlined(function: F) -> F:
+    """Compile a function into every kernel that calls it.
+
+    For small functions of arrays in the midst of loops: a call counts the references of every array passed, by atomic
+    operations on counters that all threads share.
+    """
+    return _compiled(function, inline="always")
+
+
+def _compiled(function: F, inline: str) -> F:
     folder = cache_directory()
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder or before
+    options = {"nogil": True, "error_model": "numpy", "fastmath": False, "inline": inline}
     try:
-        compiled = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", fastmath=False)(function)
+        compiled = numba.njit(cache=folder is not None, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
     return cast(F, compiled)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.kernels import kernel
+from threedvc.kernels import inlined, kernel
 from threedvc.kernels.blocks import find_block
 
 __all__ = ["cast_rays", "surface_at", "tile_ranges"]
@@ -29,6 +29,8 @@ MAX_DISTANCE = 2.0
 NEAR_END = 0.95
 PLANE_SCALE = 127.0
 LEAST_NORMAL = 1.0
+LOWEST = np.array([0] + [(bits & -bits).bit_length() - 1 for bits in range(1, 256)])
+"""Place of the lowest bit that is set."""
 
 
 @kernel
@@ -78,48 +80,51 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
                 far[row, column] = max(far[row, column], back)
 
 
-@kernel
-def surface_at(corners, plane, base, x, y, z, dx, dy, dz, outward):
-    """Return the signed distance in cells at (x, y, z) within the cube at `base`; FAR where no cell counts.
+@inlined
+def surface_at(corners, plane, block, base, x, y, z, ux, uy, uz, gx, gy, gz):
+    """Measure the signed distance in cells at (x, y, z) within the cube at `base`; FAR where no cell counts.
 
     Parameters
     ----------
     corners
         Bits of the corners that count: those occupied, on a face of the cube only those of that face.
     plane
-        (729, 4) planes of the render block.
-    dx, dy, dz
+        (render blocks, 729, 4) planes.
+    ux, uy, uz
         Unit direction of the ray.
-    outward
-        (7,) float64: a direction that planes shall face; then, output, the mean of their normals so turned, and
-        how much of the weight the corners that count have.
+    gx, gy, gz
+        Outward: a direction that planes shall face.
+
+    Returns
+    -------
+    distance, mx, my, mz, total
+        Distance, the mean of the normals so turned, and how much of the weight the corners that count have.
     """
     total, mean = 0.0, 0.0
     mx, my, mz = 0.0, 0.0, 0.0
-    for k in range(8):
-        if not (corners >> k) & 1:
-            continue
+    while corners:
+        k = LOWEST[corners]
+        corners &= corners - 1
         ix, iy, iz = k & 1, (k >> 1) & 1, k >> 2
         cell = base + ix + 9 * iy + 81 * iz
-        w = (x if ix else 1.0 - x) * (y if iy else 1.0 - y) * (z if iz else 1.0 - z)
-        nx, ny, nz = np.float64(plane[cell, 0]), np.float64(plane[cell, 1]), np.float64(plane[cell, 2])
-        s = nx * (x - ix) + ny * (y - iy) + nz * (z - iz) - plane[cell, 3]
-        facing = nx * outward[0] + ny * outward[1] + nz * outward[2]
+        ax, ay, az = x - ix, y - iy, z - iz
+        w = (1.0 - abs(ax)) * (1.0 - abs(ay)) * (1.0 - abs(az))
+        nx, ny, nz = (
+            np.float64(plane[block, cell, 0]),
+            np.float64(plane[block, cell, 1]),
+            np.float64(plane[block, cell, 2]),
+        )
+        s = nx * ax + ny * ay + nz * az - plane[block, cell, 3]
         if nx == 0.0 and ny == 0.0 and nz == 0.0:
-            s = -PLANE_SCALE * (dx * (x - ix) + dy * (y - iy) + dz * (z - iz))
-        elif facing < 0.0:
-            s = -s
-            mx -= w * nx
-            my -= w * ny
-            mz -= w * nz
-        else:
-            mx += w * nx
-            my += w * ny
-            mz += w * nz
+            s = -PLANE_SCALE * (ux * ax + uy * ay + uz * az)
+        turn = -1.0 if nx * gx + ny * gy + nz * gz < 0.0 else 1.0
+        turned = turn * w
+        mx += turned * nx
+        my += turned * ny
+        mz += turned * nz
+        mean += turned * s
         total += w
-        mean += w * s
-    outward[3], outward[4], outward[5], outward[6] = mx, my, mz, total
-    return mean / (total * PLANE_SCALE) if total > 0.0 else FAR
+    return (mean / (total * PLANE_SCALE) if total > 0.0 else FAR), mx, my, mz, total
 
 
 @kernel
@@ -138,47 +143,54 @@ def away_from_zero(d):
     return d if abs(d) > 1e-9 else 1e-9
 
 
-@kernel
-def refine_hit(corners, plane, base, px, py, pz, dx, dy, dz, ux, uy, uz, low, f_low, high, f_high, outward):
-    """Find the sign change between `low` and `high` by two secant steps.
+@inlined
+def refine_hit(corners, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, gx, gy, gz, low, f_low, high, f_high):
+    """Find the sign change between `low` and `high` by two secant steps; return it, and the weight that counts there.
 
-    (px, py, pz) is the ray's origin relative to the corner cell of the cube, (ux, uy, uz) its unit direction.
+    (ax, ay, az) is the ray's origin relative to the corner cell of the cube, (dx, dy, dz) its direction.
     """
-    hit = low
+    hit, opaque = low, 0.0
     for _ in range(2):
         hit = low + (high - low) * f_low / (f_low - f_high)
-        f = surface_at(corners, plane, base, px + hit * dx, py + hit * dy, pz + hit * dz, ux, uy, uz, outward)
+        f, _x, _y, _z, opaque = surface_at(
+            corners, plane, block, base, ax + hit * dx, ay + hit * dy, az + hit * dz, ux, uy, uz, gx, gy, gz
+        )
         if f > 0.0:
             low, f_low = hit, min(f, MAX_DISTANCE)
         else:
             high, f_high = hit, f
-    return hit
+    return hit, opaque
 
 
 @kernel
-def is_stopped(distance, outward, ux, uy, uz):
+def is_stopped(distance, gx, gy, gz, ux, uy, uz):
     """Tell whether a ray is stopped that leaves the neighbourhood of a surface without having crossed it.
 
     It has slipped through a shell of one cell if it came near and the surface still faces it where it leaves; beside
     a rim, behind which the surface turns away, it must have come much nearer.
     """
-    x, y, z = outward[0], outward[1], outward[2]
-    frontal = -(x * ux + y * uy + z * uz) > FRONTAL * np.sqrt(x * x + y * y + z * z)
+    if distance >= GRAZE:
+        return False
+    frontal = -(gx * ux + gy * uy + gz * uz) > FRONTAL * np.sqrt(gx * gx + gy * gy + gz * gz)
     return distance < (GRAZE if frontal else RIM)
 
 
 @kernel
-def begin_neighbourhood(passed, outward, ux, uy, uz):
-    """Forget what was passed, and turn planes against a ray of direction (ux, uy, uz)."""
-    passed[1] = passed[2] = FAR
-    outward[0], outward[1], outward[2] = -ux, -uy, -uz
+def leaving_face(axis, x, y, z, dx, dy, dz):
+    """Put a point of a cube onto the face across `axis` by which a ray leaves; return it, and the face's corners."""
+    if axis == 0:
+        return (1.0, y, z, 0b10101010) if dx > 0.0 else (0.0, y, z, 0b01010101)
+    if axis == 1:
+        return (x, 1.0, z, 0b11001100) if dy > 0.0 else (x, 0.0, z, 0b00110011)
+    return (x, y, 1.0, 0b11110000) if dz > 0.0 else (x, y, 0.0, 0b00001111)
 
 
-@kernel
+@inlined
 def pass_cube(
-    occupied, axis, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, t_out, before, opacity, passed, outward
-):
-    """Pass a cube with occupied corners from `t` to `t_out`; return what `before` is for the next, and the hit or FAR.
+    occupied, axis, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, t_out, before, opacity,
+    passed_at, passed, crossed, gx, gy, gz,
+):  # fmt: skip
+    """Pass a cube with occupied corners from `t` to `t_out`.
 
     Parameters
     ----------
@@ -190,88 +202,101 @@ def pass_cube(
         Origin of the ray relative to the corner cell of the cube.
     before
         Distance at `t` by the face that is shared with the cube before; FAR: not known.
+    passed_at, passed, crossed, gx, gy, gz
+        See `cast_in_block`.
+
+    Returns
+    -------
+    hit, before, passed_at, passed, crossed, gx, gy, gz
+        The hit or FAR, and what the next cube takes.
     """
-    last = t_out
-    x, y, z = ax + last * dx, ay + last * dy, az + last * dz
-    if axis == 0:
-        x, face = (1.0, 0b10101010) if dx > 0.0 else (0.0, 0b01010101)
-    elif axis == 1:
-        y, face = (1.0, 0b11001100) if dy > 0.0 else (0.0, 0b00110011)
-    else:
-        z, face = (1.0, 0b11110000) if dz > 0.0 else (0.0, 0b00001111)
-    after = surface_at(occupied & face, plane, base, x, y, z, ux, uy, uz, outward)
-    opaque = outward[6]
+    hit, last = FAR, t_out
+    x, y, z, face = leaving_face(axis, ax + last * dx, ay + last * dy, az + last * dz, dx, dy, dz)
+    after, nx, ny, nz, opaque = surface_at(
+        occupied & face, plane, block, base, x, y, z, ux, uy, uz, gx, gy, gz
+    )  # fmt: skip
     if after == FAR:
         last = t + NEAR_END * (t_out - t)
-        x, y, z = ax + last * dx, ay + last * dy, az + last * dz
-        after = surface_at(occupied, plane, base, x, y, z, ux, uy, uz, outward)
+        after, nx, ny, nz, opaque = surface_at(
+            occupied, plane, block, base, ax + last * dx, ay + last * dy, az + last * dz, ux, uy, uz, gx, gy, gz
+        )
         opaque = 0.0
-    nx, ny, nz = outward[3], outward[4], outward[5]
     if after > 0.0:
-        passed[2] = FAR
-        if after < passed[1]:
-            passed[0], passed[1] = last, after
+        crossed = FAR
+        if after < passed:
+            passed_at, passed = last, after
     else:
         if before == FAR:
-            before = surface_at(occupied, plane, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, outward)
+            before, _x, _y, _z, _w = surface_at(
+                occupied, plane, block, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, gx, gy, gz
+            )
         if before > 0.0:
-            passed[2] = refine_hit(
-                occupied, plane, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, min(before, MAX_DISTANCE), last, after,
-                outward,
+            crossed, opaque = refine_hit(
+                occupied, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, gx, gy, gz,
+                t, min(before, MAX_DISTANCE), last, after,
             )  # fmt: skip
-            opaque = outward[6]
-        elif passed[2] == FAR:
-            passed[2] = last
+        elif crossed == FAR:
+            crossed = last
         if opaque > opacity:
-            return after, passed[2]
-        passed[1] = FAR
+            hit = crossed
+        else:
+            passed = FAR
     if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
-        outward[0], outward[1], outward[2] = nx, ny, nz
-    return after if last == t_out else FAR, FAR
+        gx, gy, gz = nx, ny, nz
+    return hit, (after if last == t_out else FAR), passed_at, passed, crossed, gx, gy, gz
 
 
-@kernel
+@inlined
 def cast_in_block(
-    px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, t, t_end, skip, corners, plane, opacity, passed, outward
-):
-    """Walk the cells of one render block from `t` to `t_end`; return the ray parameter of the hit, or FAR.
+    skip, corners, plane, block, px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, ux, uy, uz, t, t_end,
+    opacity, passed_at, passed, crossed, gx, gy, gz,
+):  # fmt: skip
+    """Walk the cells of one render block from `t` to `t_end`.
 
     Parameters
     ----------
+    skip
+        (render blocks, 512) uint8: how many cells away the nearest cube with an occupied corner is.
+    corners
+        (render blocks, 512) uint8: a bit for each occupied corner of a cube, that of x lowest.
+    plane, block
+        (render blocks, 729, 4) int8, and the number of the block.
     px, py, pz
         Origin of the ray relative to the block, in cells; directions, none of them 0, are per unit of t.
-    skip
-        (512,) uint8: how many cells away the nearest cube with an occupied corner is.
-    corners
-        (512,) uint8: a bit for each occupied corner of a cube, that of x lowest.
-    passed
-        (3,) float64, kept from block to block: parameter and distance of the nearest approach to a surface that the
-        ray has not crossed; distance FAR: none. A ray that leaves the neighbourhood of a surface may be stopped
-        there, else a shell of one cell would have streaks. Last the parameter at which it has crossed one where too
-        little is opaque, or FAR: if enough is further on, before the ray comes out again, it was stopped there.
-    outward
-        (7,) float64, kept from block to block; see `surface_at`.
+    passed_at, passed
+        Parameter and distance of the nearest approach to a surface that the ray has not crossed; distance FAR: none.
+        A ray that leaves the neighbourhood of a surface may be stopped there, else a shell of one cell would have
+        streaks.
+    crossed
+        Parameter at which the ray has crossed a surface where too little is opaque, or FAR: if enough is further on,
+        before the ray comes out again, it was stopped there.
+    gx, gy, gz
+        Outward, see `surface_at`.
+
+    Returns
+    -------
+    hit, passed_at, passed, crossed, gx, gy, gz
+        The parameter of the hit, or FAR, and what the next block takes.
     """
-    norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-    ux, uy, uz = dx * norm, dy * norm, dz * norm
-    leap = min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
+    abs_x, abs_y, abs_z = abs(inverse_x), abs(inverse_y), abs(inverse_z)
+    nudge = 1e-9 * min(abs_x, abs_y, abs_z)
     step_x, step_y, step_z = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1, 1 if dz > 0.0 else -1
     qx, qy, qz = (px if dx <= 0.0 else px - 1.0), (py if dy <= 0.0 else py - 1.0), (pz if dz <= 0.0 else pz - 1.0)
-    while True:
+    hit, inside = FAR, True
+    while inside:
         before = FAR
         ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
         iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
         iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
         tx, ty, tz = (ix - qx) * inverse_x, (iy - qy) * inverse_y, (iz - qz) * inverse_z
-        while skip[ix + 8 * iy + 64 * iz] == 0:
+        while inside and skip[block, ix + 8 * iy + 64 * iz] == 0:
             t_out = min(tx, ty, tz)
             axis = 0 if t_out == tx else (1 if t_out == ty else 2)
-            before, hit = pass_cube(
-                corners[ix + 8 * iy + 64 * iz], axis, plane, ix + 9 * iy + 81 * iz, px - ix, py - iy, pz - iz,
-                dx, dy, dz, ux, uy, uz, t, t_out, before, opacity, passed, outward,
+            hit, before, passed_at, passed, crossed, gx, gy, gz = pass_cube(
+                np.int64(corners[block, ix + 8 * iy + 64 * iz]), axis, plane, block, ix + 9 * iy + 81 * iz,
+                px - ix, py - iy, pz - iz, dx, dy, dz, ux, uy, uz, t, t_out, before, opacity,
+                passed_at, passed, crossed, gx, gy, gz,
             )  # fmt: skip
-            if hit < FAR:
-                return hit
             t = t_out
             if axis == 0:
                 ix += step_x
@@ -282,14 +307,16 @@ def cast_in_block(
             else:
                 iz += step_z
                 tz = (iz - qz) * inverse_z
-            if t >= t_end or min(ix, iy, iz) < 0 or max(ix, iy, iz) > 7:
-                return FAR
-        if is_stopped(passed[1], outward, ux, uy, uz):
-            return passed[0]
-        begin_neighbourhood(passed, outward, ux, uy, uz)
-        t = max(min(tx, ty, tz), t + (skip[ix + 8 * iy + 64 * iz] - 1) * leap) + 1e-9 * leap
-        if t >= t_end:
-            return FAR
+            inside = hit == FAR and t < t_end and min(ix, iy, iz) >= 0 and max(ix, iy, iz) <= 7
+        if inside:
+            if is_stopped(passed, gx, gy, gz, ux, uy, uz):
+                hit = passed_at
+            passed = crossed = FAR
+            gx, gy, gz = -ux, -uy, -uz
+            free = skip[block, ix + 8 * iy + 64 * iz] - 1
+            t = min(tx + free * abs_x, ty + free * abs_y, tz + free * abs_z) + nudge
+            inside = hit == FAR and t < t_end
+    return hit, passed_at, passed, crossed, gx, gy, gz
 
 
 @kernel
@@ -312,7 +339,7 @@ def cast_rays(
     """
     root_origin, root, supers = tables
     T = T_cells_camera
-    passed, outward = np.empty(3), np.empty(7)
+    ox, oy, oz = T[0, 3], T[1, 3], T[2, 3]
     for n in range(start, stop):
         r = order[n]
         sx, sy = rays[r, 0], rays[r, 1]
@@ -321,17 +348,16 @@ def cast_rays(
         t, t_far = tile_near[row, column], tile_far[row, column]
         if depth[r] > 0.0:
             t_far = min(t_far, np.float64(depth[r]))
-        ox, oy, oz = T[0, 3], T[1, 3], T[2, 3]
-        dx = T[0, 0] * sx + T[0, 1] * sy + T[0, 2]
-        dy = T[1, 0] * sx + T[1, 1] * sy + T[1, 2]
-        dz = T[2, 0] * sx + T[2, 1] * sy + T[2, 2]
-        dx, dy, dz = away_from_zero(dx), away_from_zero(dy), away_from_zero(dz)
+        dx = away_from_zero(T[0, 0] * sx + T[0, 1] * sy + T[0, 2])
+        dy = away_from_zero(T[1, 0] * sx + T[1, 1] * sy + T[1, 2])
+        dz = away_from_zero(T[2, 0] * sx + T[2, 1] * sy + T[2, 2])
         inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
         nudge = 1e-6 * min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
         norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         ux, uy, uz = dx * norm, dy * norm, dz * norm
-        begin_neighbourhood(passed, outward, ux, uy, uz)
-        while t < t_far:
+        passed_at, passed, crossed, gx, gy, gz = FAR, FAR, FAR, -ux, -uy, -uz
+        hit = FAR
+        while t < t_far and hit == FAR:
             at = t + nudge
             bx = np.int64(np.floor((ox + at * dx) / 8.0))
             by = np.int64(np.floor((oy + at * dy) / 8.0))
@@ -343,19 +369,17 @@ def cast_rays(
                 (((by >> shift) + (dy > 0.0)) * size - oy) * inverse_y,
                 (((bz >> shift) + (dz > 0.0)) * size - oz) * inverse_z,
             )
-            hit = FAR
             if number >= 0:
-                hit = cast_in_block(
-                    ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz, inverse_x, inverse_y, inverse_z, at, leave,
-                    skip[number], corners[number], plane[number], opacity, passed, outward,
+                hit, passed_at, passed, crossed, gx, gy, gz = cast_in_block(
+                    skip, corners, plane, number, ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz,
+                    inverse_x, inverse_y, inverse_z, ux, uy, uz, at, leave, opacity,
+                    passed_at, passed, crossed, gx, gy, gz,
                 )  # fmt: skip
-            elif is_stopped(passed[1], outward, ux, uy, uz):
-                hit = passed[0]
+            elif is_stopped(passed, gx, gy, gz, ux, uy, uz):
+                hit = passed_at
             else:
-                begin_neighbourhood(passed, outward, ux, uy, uz)
-            if hit < FAR:
-                if hit < t_far:
-                    depth[r] = hit
-                    labels[r] = label
-                break
+                passed, crossed, gx, gy, gz = FAR, FAR, -ux, -uy, -uz
             t = max(leave, at)
+        if hit < t_far:
+            depth[r] = hit
+            labels[r] = label
