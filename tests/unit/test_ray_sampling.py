@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.camera import Camera
-from threedvc.kernels.ray_sampling import MAX_BEND, MAX_DEPTH_STEP
+from threedvc.kernels.ray_sampling import MAX_BEND, MAX_DEPTH_STEP, MAX_PAIR_STEP, interpolate_between
 from threedvc.ray_grid import RayGrid
 from threedvc.rendering import INTERPOLATIONS, Renderer
 
@@ -85,6 +85,35 @@ def test_an_edge_keeps_its_pixels(slope: float) -> None:
     np.testing.assert_array_equal(drawn.depth, true)
     labelled = Sampling(rays, np.ones_like(true), np.where(near, 1, 2).astype(np.uint8))
     np.testing.assert_array_equal(labelled.labels, np.where(near, 1, 2))
+
+
+def test_along_an_edge_only_every_second_pair_is_cast() -> None:
+    rays = grid(64, 48)
+    columns = np.arange(64 * 48) % 64
+    true = np.where(columns > 30, np.float32(1.0), np.float32(1.0 + 2 * MAX_DEPTH_STEP))
+    drawn = Sampling(rays, true)
+    np.testing.assert_array_equal(drawn.depth, true)
+    rows, columns = np.divmod(np.flatnonzero(~drawn.cast), 64)
+    beside = rows[(rows % 2 == 1) & (columns == 30) & (rows < 46)]
+    np.testing.assert_array_equal(beside, np.arange(1, 46, 2))
+
+
+@pytest.mark.parametrize(
+    ("beside", "label", "cast"),
+    [
+        (1 + 0.9 * MAX_PAIR_STEP, 1, False),
+        (1 + 1.1 * MAX_PAIR_STEP, 1, True),
+        (1.0, 2, True),
+        (0.0, 1, True),
+    ],
+)
+def test_two_rays_tell_of_one_between_if_they_met_one_surface(beside: float, label: int, cast: bool) -> None:
+    depth, labels, wanted = np.zeros(9, np.float32), np.ones(9, np.uint8), np.zeros(9, np.uint8)
+    depth[[0, 2, 6, 8]], labels[2] = (1.0, beside, 1.5, 1.7), label
+    interpolate_between(0, 1, 3, 3, 1, depth, labels, wanted)
+    assert wanted[[1, 3, 4]].tolist() == [cast, True, True]
+    if not cast:
+        assert depth[1] == np.float32(2 / (1 + 1 / np.float32(beside)))
 
 
 def test_a_bent_surface_is_met_nearly() -> None:

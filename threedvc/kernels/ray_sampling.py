@@ -12,6 +12,7 @@ __all__ = ["interpolate_between", "interpolate_centres", "interpolate_diamonds"]
 
 MAX_DEPTH_STEP = 0.04
 MAX_BEND = 0.003
+MAX_PAIR_STEP = 0.005
 
 
 @kernel
@@ -27,6 +28,17 @@ def is_smooth(depth, labels, a, b, c, d):
         return False
     bend = 1.0 / depth[a] - 1.0 / depth[b] - 1.0 / depth[c] + 1.0 / depth[d]
     return abs(bend) * near < MAX_BEND
+
+
+@kernel
+def interpolate_pair(depth, labels, wanted, place, a, b, known):
+    """Interpolate a ray between two that met one surface, or nothing if that is `known`, or want it cast."""
+    near, far = min(depth[a], depth[b]), max(depth[a], depth[b])
+    joined = labels[a] == labels[b] and near > 0.0 and (known or far - near < MAX_PAIR_STEP * near)
+    wanted[place] = not (joined or known)
+    if joined:
+        depth[place] = 2.0 / (1.0 / depth[a] + 1.0 / depth[b])
+        labels[place] = labels[a]
 
 
 @kernel
@@ -103,14 +115,16 @@ def interpolate_between(start, stop, width, height, reach, depth, labels, wanted
             inside = column + 2 * reach < width and row + 2 * reach < height
             smooth = inside and is_smooth(depth, labels, a, b, c, c + 2 * reach)
             if right:
-                wanted[beside] = not smooth
+                wanted[beside] = 1
+                if inside:
+                    interpolate_pair(depth, labels, wanted, beside, a, b, smooth)
             if below:
-                wanted[under] = not smooth
+                wanted[under] = 1
+                if inside:
+                    interpolate_pair(depth, labels, wanted, under, a, c, smooth)
             if right and below:
                 wanted[under + reach] = not smooth
-            if not smooth or depth[a] <= 0.0:
-                continue
-            wa, wb, wc, wd = 1.0 / depth[a], 1.0 / depth[b], 1.0 / depth[c], 1.0 / depth[c + 2 * reach]
-            depth[beside], depth[under] = 2.0 / (wa + wb), 2.0 / (wa + wc)
-            depth[under + reach] = 4.0 / (wa + wb + wc + wd)
-            labels[beside] = labels[under] = labels[under + reach] = labels[a]
+            if smooth and depth[a] > 0.0:
+                total = 1.0 / depth[a] + 1.0 / depth[b] + 1.0 / depth[c] + 1.0 / depth[c + 2 * reach]
+                depth[under + reach] = 4.0 / total
+                labels[under + reach] = labels[a]

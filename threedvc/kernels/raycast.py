@@ -22,7 +22,7 @@ __all__ = ["cast_rays", "surface_at", "tile_ranges"]
 
 OPACITY = 0.3
 FAR = 1e9
-GRAZE = 0.6
+GRAZE = 0.4
 RIM = 0.15
 FRONTAL = 0.3
 MAX_DISTANCE = 2.0

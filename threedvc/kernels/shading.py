@@ -76,28 +76,37 @@ def shade(start, stop, slopes, depth, labels, label, T_cells_camera, tables, col
         (n, 3) float32 and (n,) uint8, written where the object was met and has a coloured cell.
     """
     T = T_cells_camera
-    positions, weights = np.empty(8, dtype=np.int64), np.empty(8)
+    root_origin, root, supers = tables
     for n in range(start, stop):
         if labels[n] != label or depth[n] <= 0.0 or known[n]:
             continue
         z = np.float64(depth[n])
         x, y = slopes[n, 0] * z, slopes[n, 1] * z
-        found = interpolation(
-            T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
-            T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
-            T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
-            tables, colored, positions, weights,
-        )  # fmt: skip
-        if not found:
+        px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        ix, iy, iz = np.int64(np.floor(px)), np.int64(np.floor(py)), np.int64(np.floor(pz))
+        px, py, pz = px - ix, py - iy, pz - iz
+        in_one_block = (ix & 7) < 7 and (iy & 7) < 7 and (iz & 7) < 7
+        first = find_cell(ix, iy, iz, root_origin, root, supers)
+        if in_one_block and first < 0:
             continue
-        red, green, blue = 0.0, 0.0, 0.0
+        total, red, green, blue = 0.0, 0.0, 0.0, 0.0
         for k in range(8):
-            cell = positions[k]
-            red += weights[k] * colors[cell, 0]
-            green += weights[k] * colors[cell, 1]
-            blue += weights[k] * colors[cell, 2]
-        color[n, 0], color[n, 1], color[n, 2] = red, green, blue
-        known[n] = 1
+            kx, ky, kz = k & 1, (k >> 1) & 1, k >> 2
+            if in_one_block:
+                cell = first + kx + 8 * ky + 64 * kz
+            else:
+                cell = find_cell(ix + kx, iy + ky, iz + kz, root_origin, root, supers)
+            if cell >= 0 and colored[cell]:
+                w = (px if kx else 1.0 - px) * (py if ky else 1.0 - py) * (pz if kz else 1.0 - pz) + LEAST_WEIGHT
+                total += w
+                red += w * colors[cell, 0]
+                green += w * colors[cell, 1]
+                blue += w * colors[cell, 2]
+        if total > 0.0:
+            color[n, 0], color[n, 1], color[n, 2] = red / total, green / total, blue / total
+            known[n] = 1
 
 
 @kernel
