@@ -53,10 +53,11 @@ from threedvc.packets import (
 from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, identity, inverse
 from threedvc.rate_control import LeakyBucket, stream_bytes
-from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface, surest_part
+from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
+from threedvc.selection import best_part
 from threedvc.trials import color_settings, one_shot
 from threedvc.wire import pack_signed_varint
 
@@ -65,6 +66,8 @@ __all__ = ["Emitter"]
 MAX_STILL_GAP = 2
 MIN_LIVE_CELLS = 4
 """A live encoder lets fewer changed cells than these wait for more: their framing would outweigh them."""
+FILL = 0.97
+"""How much of the room a part of an update aims at: what parts take is estimated."""
 MAX_REST = MAX_COUNT // 2
 STEP_PIXELS = 0.35
 LEAST_STEP_M, GREATEST_STEP_M = 5e-5, 5e-3
@@ -289,10 +292,7 @@ class Emitter:
         yield from self._texture(sent, frame)
 
     def _affordable(self, update: ModelUpdate, sent: _Sent, room: float) -> tuple[ModelUpdate, bytes, ModelUpdate]:
-        """Encode as much of an update as there is room for, what is surest first; the rest waits.
-
-        Cells are taken by blocks, as single ones would cost more, in the order of how often the blocks were seen.
-        """
+        """Encode as much of an update as there is room for, what lifts most ignorance per bit first; the rest waits."""
         cells, size = sent.model.cells(), sent.model.voxel_size_m
 
         def encoded() -> tuple[bytes, ModelUpdate]:
@@ -302,7 +302,7 @@ class Emitter:
 
         payload, decoded = encoded()
         while len(payload) > room and not update.empty:
-            update = surest_part(update, sent.item.evidence, 0.9 * room / len(payload))
+            update = best_part(update, sent.item.evidence, sent.wanted, FILL * room / len(payload))
             payload, decoded = encoded()
         return update, payload, decoded
 

@@ -20,7 +20,7 @@ from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel, EvidenceModel
 from threedvc.parallel import for_ranges
 
-__all__ = ["Surface", "changes", "first_sights", "in_regions", "read_surface", "surest_part"]
+__all__ = ["Surface", "changes", "first_sights", "in_regions", "read_surface"]
 
 MIN_WEIGHT = 0.02
 CONFIDENT_LOG_ODDS = 2.0
@@ -180,34 +180,6 @@ def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpda
     moved[known] = drift > RECOLOR_LEVELS
     fresh = ~known & ((near == 0) | _frontier(near))
     return _update(surface.part(fresh), _vanished(model, sent, threads), surface.part(moved))
-
-
-def surest_part(update: ModelUpdate, model: EvidenceModel, share: float) -> ModelUpdate:
-    """Return the part of an update in the blocks that were seen most often, of about a share of its cells."""
-    groups = [update.added, update.removed, update.recolored]
-    colored = np.concatenate([np.full(len(group), group is not update.removed) for group in groups])
-    cells = np.concatenate(groups)
-    if share <= 0 or not len(cells):
-        keep = np.zeros(len(cells), dtype=bool)
-    else:
-        positions = model.index.locate(cells)
-        blocks, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
-        counts = np.bincount(member)
-        seen = np.bincount(member, model.distance_weight.reshape(-1)[positions]) / counts
-        order = np.argsort(-seen, kind="stable")
-        taken = np.cumsum(counts[order]) <= share * len(cells)
-        chosen = np.zeros(len(blocks), dtype=bool)
-        chosen[order[taken]] = True
-        keep = chosen[member]
-    added, removed, recolored = np.split(keep, np.cumsum([len(group) for group in groups])[:-1])
-    return ModelUpdate(
-        added=update.added[added],
-        added_colors=update.added_colors[added],
-        removed=update.removed[removed],
-        recolored=update.recolored[recolored],
-        recolored_colors=update.recolored_colors[recolored],
-        importance=None if update.importance is None else update.importance[keep[colored]],
-    )
 
 
 def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
