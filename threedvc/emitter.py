@@ -302,7 +302,8 @@ class Emitter:
 
         payload, decoded = encoded()
         while len(payload) > room and not update.empty:
-            update = best_part(update, sent.item.evidence, sent.wanted, FILL * room / len(payload))
+            share = FILL * room / len(payload)
+            update = best_part(update, sent.item.evidence, sent.wanted, share, sent.item.in_sight)
             payload, decoded = encoded()
         return update, payload, decoded
 
@@ -394,9 +395,8 @@ class Emitter:
 
     def _gain_packets(self, first: int, stop: int) -> Iterator[Packet]:
         """Yield the gains from the first frame of a group in which they change to the last."""
-        if self._finished is None:
-            return
-        gains = self._finished.gains[first:stop]
+        gains = np.stack(self._scene.gains) if self._finished is None else self._finished.gains
+        gains = gains[first:stop]
         before = np.concatenate([self._gains.last[None], gains[:-1]])
         changes = np.flatnonzero((gains != before).any(axis=(1, 2)))
         if len(changes):

@@ -191,7 +191,7 @@ def _among_sure_ones(surface: Surface, model: EvidenceModel, threads: int) -> ND
     positions = model.index.locate(surface.cells)
     around = np.zeros(len(positions), dtype=np.int32)
     count_neighbours(surface.cells, positions, model.index.tables, sure, around)
-    return (sure[positions] != 0) | (around >= MIN_NEIGHBOURS)
+    return np.asarray((sure[positions] != 0) | (around >= MIN_NEIGHBOURS))
 
 
 def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
+from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.evidence_view import FrameViews, Thinned
+from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.motion import Located, Tracker, known_pose, motion_of
@@ -30,6 +32,7 @@ MIN_PIXELS_PER_CELL = 1.3
 BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
+SIGHT_FRAMES = 5
 STATUS_ORDER = ("known", "tracked", "weak", "lost")
 
 
@@ -69,6 +72,7 @@ class SceneObject:
         self.found: list[Located | None] = []
         self.poses: list[Pose] = []
         self.born: int | None = None
+        self._last_sight = np.zeros(0, dtype=np.int64)
 
     def locate(self, views: FrameViews, mask: NDArray[np.bool_], rig: CameraRig, alone: bool) -> Located | None:
         """Find the object in a frame; None where it is not seen and its pose is not known."""
@@ -80,6 +84,17 @@ class SceneObject:
         if self.born is None:
             return self.tracker.start(views, mask, self.number, rig)
         return self.tracker.locate(views, mask, self.evidence)
+
+    def note_sight(self, numbers: NDArray[np.int64], frame: int) -> None:
+        """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
+        more = self.evidence.index.count - len(self._last_sight)
+        self._last_sight = np.concatenate([self._last_sight, np.full(more, frame)])
+        self._last_sight[numbers] = frame
+
+    @property
+    def in_sight(self) -> NDArray[np.bool_]:
+        """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
+        return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
 
     def record(self, frame: int, at: Located | None) -> None:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
@@ -111,6 +126,9 @@ class Scene:
         Median depth of the first frame that has any.
     repeated
         For each frame, whether it is a copy of the one before: it tells nothing new, and is not fused.
+    gains
+        For each frame, units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless
+        the encoder is causal, for others fit them later.
     """
 
     def __init__(
@@ -121,6 +139,7 @@ class Scene:
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
         self.repeated: list[bool] = []
+        self.gains: list[NDArray[np.int64]] = []
         self._before: Frame | None = None
         self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
@@ -155,6 +174,7 @@ class Scene:
         seen = observe(frame, self.info.rig, self._rays)
         views = self.views(frame)
         worst = STATUS_ORDER[0]
+        self.gains.append(self.gains[-1] if self.gains else NEUTRAL)
         for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
             mask = labels == number
             item = self._object(number, frame, mask, sensor)
@@ -168,6 +188,8 @@ class Scene:
             if found is not None:
                 worst = max(worst, str(found.status), key=STATUS_ORDER.index)
                 if found.usable and not self.repeated[-1]:
+                    if number == 0 and self.config.causal:
+                        seen = self._exposed(item, seen, mask, found.T_camera_object)
                     self._fuse(item, seen, mask, found.T_camera_object, sensor)
         self.timestamps.append(frame.timestamp_ns)
         return worst
@@ -233,11 +255,17 @@ class Scene:
         """The background of a depth threshold is static by definition, unless the camera's poses are known."""
         return number == 0 and self._one_object and not self.info.has_camera_poses
 
+    def _exposed(self, background: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose) -> Observation:
+        """Find the gain of a frame, and return the frame without it."""
+        self.gains[-1] = camera_gain(seen, mask, pose, background.evidence, self.gains[-1], self.info.grey)
+        return with_gain(seen, self.gains[-1])
+
     def _fuse(
         self, item: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose, sensor: SensorModel
     ) -> None:
         numbers = fuse(item.evidence, seen, mask, pose, sensor, self.config.fusion, self.config.threads)
         item.entropy.update(numbers, self.config.threads)
+        item.note_sight(numbers, seen.frame)
 
 
 def _same_pictures(one: Frame, other: Frame) -> bool:

@@ -6,7 +6,8 @@ believes. Of a cell that was never sent it believes nothing: occupancy is equipr
 each channel. Of a cell that was sent it believes what it draws: that it is occupied, as surely as evidence can tell,
 and of its colour, known as well as after one look of weight 1/4; a colour further off than that costs as much as none.
 Once the cell is sent, the entropy of the evidence is left, H(occupancy) + H(colour), see `threedvc.uncertainty`. The
-difference, a Kullback-Leibler divergence, is what sending it lifts.
+difference, a Kullback-Leibler divergence, is what sending it lifts. A receiver looks at the present picture, so what
+was not in the field of view lately counts less.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ __all__ = ["best_part", "bits_lifted", "bits_taken"]
 
 CHANNELS = 3
 SURE_LOG_ODDS = FusionConfig().max_log_odds
+OUT_OF_SIGHT = 0.1
+"""How much a bit counts that the present picture does not show."""
 BLOCK_BITS, ADDED_BITS = 40.0, 2.0
 REMOVED_BITS, RECOLORED_BITS = 6.0, 5.5
 """About what a block with new cells takes, and each cell: least squares over parts of updates of recorded rooms."""
@@ -90,7 +93,7 @@ def best_part(
     model: EvidenceModel,
     sent: DecodedModel,
     share: float,
-    sight: NDArray[np.float64] | None = None,
+    in_sight: NDArray[np.bool_],
 ) -> ModelUpdate:
     """Return the part of an update that lifts most ignorance per bit, of at most about a share of its bits.
 
@@ -104,13 +107,13 @@ def best_part(
         What the receiver has.
     share
         How much of the update's coded size may be taken; blocks of 8x8x8 cells are taken whole.
-    sight
-        (blocks of the evidence,) by how much a block counts, or None: alike.
+    in_sight
+        (blocks of the evidence,) which blocks were in the field of view lately.
     """
     positions = model.index.locate(_cells(update))
     numbers, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
-    cells_lift = bits_lifted(update, model, sent) * (1.0 if sight is None else sight[positions // BLOCK_CELLS])
-    lifted = np.bincount(member, cells_lift, minlength=len(numbers))
+    lifted = np.bincount(member, bits_lifted(update, model, sent), minlength=len(numbers))
+    lifted *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
     taken = bits_taken(update, member, len(numbers))
     order = np.argsort(-lifted / taken, kind="stable")
     chosen = np.zeros(len(numbers), dtype=bool)

@@ -230,3 +230,15 @@ def test_sensor_is_guessed_once_or_given() -> None:
     smooth.add(replace(frame(1), depth=(frame(1).depth + rng.normal(0, 0.01, rough.depth.shape)).astype(np.float32)))
     assert smooth.sensor is before
     assert Scene(INFO, config()).sensor.sigma_m(2.0) > 0
+
+
+def test_what_was_not_in_the_field_of_view_lately_is_out_of_sight() -> None:
+    scene = Scene(INFO, config())
+    for index in range(8):
+        # The camera turns round after the third frame.
+        turn = make_pose(np.diag([-1.0, 1.0, -1.0]), np.zeros(3)) if index > 2 else identity()
+        scene.add(replace(frame(index, boxed=False), T_world_camera=turn))
+    background = scene.objects[0]
+    ahead = background.evidence.index.coords[: background.evidence.index.count, 2] > 0
+    assert 0 < np.count_nonzero(ahead) < len(ahead)
+    np.testing.assert_array_equal(background.in_sight, ~ahead)

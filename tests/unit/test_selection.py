@@ -14,6 +14,7 @@ from threedvc.selection import best_part, bits_lifted, bits_taken
 from threedvc.uncertainty import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
 
 BLOCKS = 6
+IN_SIGHT = np.ones(BLOCKS, dtype=bool)
 NONE = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)
 
@@ -100,7 +101,7 @@ def test_dense_blocks_take_fewer_bits_a_cell_and_colors_no_geometry() -> None:
 
 def shares(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> list[list[int]]:
     """Return, for rising shares, which blocks are taken."""
-    parts = [best_part(update, model, sent, share) for share in np.linspace(0, 1, 41)]
+    parts = [best_part(update, model, sent, share, IN_SIGHT) for share in np.linspace(0, 1, 41)]
     blocks = [
         np.unique(np.concatenate([part.added, part.removed, part.recolored])[:, 0] // BLOCK_SIDE) for part in parts
     ]
@@ -138,11 +139,10 @@ def test_new_surface_comes_before_wrong_colors_and_these_before_slightly_wrong_o
 
 def test_what_is_in_sight_comes_first() -> None:
     update = update_of(np.concatenate([block_cells(0, 40), block_cells(1, 30)]))
-    sight = np.ones(BLOCKS)
-    sight[0] = 0.25
+    behind = np.arange(BLOCKS) > 0
     model = evidence()
-    plain = best_part(update, model, DecodedModel(0.01), 0.6)
-    seen = best_part(update, model, DecodedModel(0.01), 0.6, sight)
+    plain = best_part(update, model, DecodedModel(0.01), 0.6, IN_SIGHT)
+    seen = best_part(update, model, DecodedModel(0.01), 0.6, behind)
     assert set((plain.added[:, 0] // BLOCK_SIDE).tolist()) == {0}
     assert set((seen.added[:, 0] // BLOCK_SIDE).tolist()) == {1}
 
@@ -160,11 +160,11 @@ def test_a_part_keeps_what_belongs_to_its_cells(rng: np.random.Generator) -> Non
         importance=np.arange(70, dtype=np.float32),
     )
     model, sent = evidence(), sent_with(held, 255)
-    assert best_part(update, model, sent, 0).empty
-    assert best_part(update, model, sent, -1).empty
-    whole = best_part(update, model, sent, 1)
+    assert best_part(update, model, sent, 0, IN_SIGHT).empty
+    assert best_part(update, model, sent, -1, IN_SIGHT).empty
+    whole = best_part(update, model, sent, 1, IN_SIGHT)
     assert whole.size == update.size
-    part = best_part(update, model, sent, 0.7)
+    part = best_part(update, model, sent, 0.7, IN_SIGHT)
     kept_added = len(part.added) > 0
     wanted = slice(0, 50) if kept_added else slice(50, 70)
     assert part.size in (50, 40)
