@@ -19,6 +19,7 @@ from threedvc.fusion import Observation, fuse, observe
 from threedvc.motion import Located, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity
+from threedvc.rate_control import live_cell_factor
 from threedvc.segmentation import segment
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
 from threedvc.uncertainty import EntropyMeter
@@ -144,6 +145,7 @@ class Scene:
         self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
         self._sensor: SensorModel | None = None
+        self._live_factor: float | None = None
         self.distance_m = 0.0
 
     @property
@@ -171,6 +173,8 @@ class Scene:
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
         labels = segment(frame, self.config.segmentation, self.info)
+        if self._live_factor is None:
+            self._live_factor = self._rated_factor(frame, labels)
         seen = observe(frame, self.info.rig, self._rays)
         views = self.views(frame)
         worst = STATUS_ORDER[0]
@@ -246,10 +250,24 @@ class Scene:
             size = default_voxel_size(frame.depth, mask, self.info)
             if number == 0 and not tracked and not self.info.has_camera_poses and not self.config.causal:
                 size *= BACKDROP_CELLS
-            size = max(round(size * self.config.cell_factor, 4), MIN_VOXEL_SIZE_M)
+            size *= self.config.cell_factor * (self._live_factor or 1.0)
+            size = max(round(size, 4), MIN_VOXEL_SIZE_M)
         tracker = Tracker(sensor, self.config.threads) if tracked else None
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
+
+    def _rated_factor(self, frame: Frame, labels: NDArray[np.uint8]) -> float:
+        """Return by how much wider cells a live encoder takes for its rate, as it can tell from the first frame."""
+        rate = self.config.bitrate_bps
+        if rate is None or not self.config.causal or not frame.depth.any():
+            return 1.0
+        cells = 0.0
+        for number in np.unique(labels).tolist():
+            mask = labels == number
+            pixel = frame.depth[mask] / self.info.rig.depth.fx
+            area = float(np.square(pixel, dtype=np.float64).sum())
+            cells += area / default_voxel_size(frame.depth, mask, self.info) ** 2
+        return live_cell_factor(cells, rate / 8)
 
     def _stands_still(self, number: int) -> bool:
         """The background of a depth threshold is static by definition, unless the camera's poses are known."""

@@ -242,3 +242,15 @@ def test_what_was_not_in_the_field_of_view_lately_is_out_of_sight() -> None:
     ahead = background.evidence.index.coords[: background.evidence.index.count, 2] > 0
     assert 0 < np.count_nonzero(ahead) < len(ahead)
     np.testing.assert_array_equal(background.in_sight, ~ahead)
+
+
+@pytest.mark.parametrize(
+    ("changes", "wider"), [({}, True), ({"causal": False}, False), ({"voxel_size_m": 0.05}, False)]
+)
+def test_live_cells_are_as_wide_as_the_rate_asks(changes: dict[str, object], wider: bool) -> None:
+    sizes = []
+    for rate in (8e3, 16e3):
+        scene = Scene(INFO, config(**{"causal": True, "bitrate_bps": rate, **changes}))
+        scene.add(frame(0))
+        sizes.append([item.evidence.voxel_size_m for _, item in sorted(scene.objects.items())])
+    np.testing.assert_allclose(np.divide(*sizes), 2**0.5 if wider else 1, rtol=0.01)
