@@ -69,6 +69,8 @@ MIN_LIVE_CELLS = 4
 FILL = 0.97
 """How much of the room a part of an update aims at: what parts take is estimated."""
 MAX_REST = MAX_COUNT // 2
+MAX_LIVE_REST_S = 60
+"""A live stream lets nothing be heard for so long where nothing changes."""
 STEP_PIXELS = 0.35
 LEAST_STEP_M, GREATEST_STEP_M = 5e-5, 5e-3
 BATCH_BYTES = 40
@@ -157,6 +159,8 @@ class Emitter:
         self._color = color_settings(config.color, scene.info.grey)
         self._clock = _clock(scene.info)
         self._batched = 0
+        self._untold: list[FrameReport] = []
+        self._rest = min(round(MAX_LIVE_REST_S * scene.info.fps), MAX_REST) if config.causal else MAX_REST
         self._groups = 0
         self._bucket = None
         if config.causal and config.bitrate_bps is not None:
@@ -197,7 +201,7 @@ class Emitter:
         first, stop
             Frames of the group; the scene has taken in all of them.
         reports
-            What to tell about them; empty: nothing.
+            What to tell about them; empty: nothing. It waits for a group in which something changes.
         last
             Whether no frame follows: the batch then holds every cell that is still due.
         """
@@ -212,18 +216,20 @@ class Emitter:
         if not first and self._filters is not None:
             payload = encode_filter(self._filters, self._info.grey)
             around.append(FilterHeader(frame=first).packet(payload, critical=False))
-        around += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
+        self._untold += reports
+        told = [report_packet(self._untold[at : at + MAX_COUNT]) for at in range(0, len(self._untold), MAX_COUNT)]
         needed = [packet for entry in entries for packet in (*entry.introduction, *entry.poses)]
-        room = self._room(first, stop, [*around, *needed], last)
+        room = self._room(first, stop, [*around, *told, *needed], last)
         members = []
         for entry in entries:
             update = list(self._model(entry.sent, first, None if last else stop, room, last))
             room -= _packed_bytes(update)
             members += [*entry.introduction, *update, *entry.poses]
         members += around
-        if not members and stop - self._batched <= MAX_REST:
+        if not members and not (last and told) and stop - self._batched <= self._rest:
             return None
-        self._batched = stop
+        members += told
+        self._batched, self._untold = stop, []
         batch = pack_batch(BatchHeader(frame=first, count=stop - first), members)
         if self._bucket is not None:
             self._bucket.take(len(batch.payload) + BATCH_BYTES)
