@@ -45,7 +45,7 @@ RISES = 0.4, 1.0
 BITS_PER_LIVE_CELL = 6.0
 """What a live stream sends in its first second over the cells that the surface of the first frame covers: 3.5 bits
 where the camera stands still, 7 where it turns fast."""
-LEAST_LIVE_FACTOR = 0.6
+LEAST_LIVE_FACTOR = 0.8
 CLOSE = 0.985
 FINER = 8.0
 

@@ -61,7 +61,7 @@ def test_live_cells_follow_the_rate() -> None:
     assert live_cell_factor(4000, 3000.0) == pytest.approx(1.0)
     assert live_cell_factor(16_000, 3000.0) == pytest.approx(2.0)
     assert live_cell_factor(1e9, 1000.0) == 4.0
-    assert live_cell_factor(0, 1000.0) == 0.6
+    assert live_cell_factor(0, 1000.0) == 0.8
 
 
 @pytest.mark.parametrize(
