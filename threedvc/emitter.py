@@ -53,10 +53,11 @@ from threedvc.packets import (
 from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, identity, inverse
 from threedvc.rate_control import LeakyBucket, stream_bytes
-from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface, surest_part
+from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
+from threedvc.selection import best_part
 from threedvc.trials import color_settings, one_shot
 from threedvc.wire import pack_signed_varint
 
@@ -65,7 +66,11 @@ __all__ = ["Emitter"]
 MAX_STILL_GAP = 2
 MIN_LIVE_CELLS = 4
 """A live encoder lets fewer changed cells than these wait for more: their framing would outweigh them."""
+FILL = 0.97
+"""How much of the room a part of an update aims at: what parts take is estimated."""
 MAX_REST = MAX_COUNT // 2
+MAX_LIVE_REST_S = 60
+"""A live stream lets nothing be heard for so long where nothing changes."""
 STEP_PIXELS = 0.35
 LEAST_STEP_M, GREATEST_STEP_M = 5e-5, 5e-3
 BATCH_BYTES = 40
@@ -154,6 +159,8 @@ class Emitter:
         self._color = color_settings(config.color, scene.info.grey)
         self._clock = _clock(scene.info)
         self._batched = 0
+        self._untold: list[FrameReport] = []
+        self._rest = min(round(MAX_LIVE_REST_S * scene.info.fps), MAX_REST) if config.causal else MAX_REST
         self._groups = 0
         self._bucket = None
         if config.causal and config.bitrate_bps is not None:
@@ -194,7 +201,7 @@ class Emitter:
         first, stop
             Frames of the group; the scene has taken in all of them.
         reports
-            What to tell about them; empty: nothing.
+            What to tell about them; empty: nothing. It waits for a group in which something changes.
         last
             Whether no frame follows: the batch then holds every cell that is still due.
         """
@@ -209,18 +216,20 @@ class Emitter:
         if not first and self._filters is not None:
             payload = encode_filter(self._filters, self._info.grey)
             around.append(FilterHeader(frame=first).packet(payload, critical=False))
-        around += [report_packet(reports[start : start + MAX_COUNT]) for start in range(0, len(reports), MAX_COUNT)]
+        self._untold += reports
+        told = [report_packet(self._untold[at : at + MAX_COUNT]) for at in range(0, len(self._untold), MAX_COUNT)]
         needed = [packet for entry in entries for packet in (*entry.introduction, *entry.poses)]
-        room = self._room(first, stop, [*around, *needed], last)
+        room = self._room(first, stop, [*around, *told, *needed], last)
         members = []
         for entry in entries:
             update = list(self._model(entry.sent, first, None if last else stop, room, last))
             room -= _packed_bytes(update)
             members += [*entry.introduction, *update, *entry.poses]
         members += around
-        if not members and stop - self._batched <= MAX_REST:
+        if not members and not (last and told) and stop - self._batched <= self._rest:
             return None
-        self._batched = stop
+        members += told
+        self._batched, self._untold = stop, []
         batch = pack_batch(BatchHeader(frame=first, count=stop - first), members)
         if self._bucket is not None:
             self._bucket.take(len(batch.payload) + BATCH_BYTES)
@@ -289,10 +298,7 @@ class Emitter:
         yield from self._texture(sent, frame)
 
     def _affordable(self, update: ModelUpdate, sent: _Sent, room: float) -> tuple[ModelUpdate, bytes, ModelUpdate]:
-        """Encode as much of an update as there is room for, what is surest first; the rest waits.
-
-        Cells are taken by blocks, as single ones would cost more, in the order of how often the blocks were seen.
-        """
+        """Encode as much of an update as there is room for, what lifts most ignorance per bit first; the rest waits."""
         cells, size = sent.model.cells(), sent.model.voxel_size_m
 
         def encoded() -> tuple[bytes, ModelUpdate]:
@@ -302,7 +308,8 @@ class Emitter:
 
         payload, decoded = encoded()
         while len(payload) > room and not update.empty:
-            update = surest_part(update, sent.item.evidence, 0.9 * room / len(payload))
+            share = FILL * room / len(payload)
+            update = best_part(update, sent.item.evidence, sent.wanted, share, sent.item.in_sight)
             payload, decoded = encoded()
         return update, payload, decoded
 
@@ -394,9 +401,8 @@ class Emitter:
 
     def _gain_packets(self, first: int, stop: int) -> Iterator[Packet]:
         """Yield the gains from the first frame of a group in which they change to the last."""
-        if self._finished is None:
-            return
-        gains = self._finished.gains[first:stop]
+        gains = np.stack(self._scene.gains) if self._finished is None else self._finished.gains
+        gains = gains[first:stop]
         before = np.concatenate([self._gains.last[None], gains[:-1]])
         changes = np.flatnonzero((gains != before).any(axis=(1, 2)))
         if len(changes):

@@ -25,6 +25,7 @@ __all__ = [
     "cell_factor",
     "closest_below",
     "error_at",
+    "live_cell_factor",
     "stream_bytes",
     "surface_room",
 ]
@@ -41,6 +42,10 @@ NARROWER = 0.8
 MAX_NARROWINGS = 3
 RISES = 0.4, 1.0
 """Least and greatest rise of the logarithm of an error as that of the bytes falls."""
+BITS_PER_LIVE_CELL = 6.0
+"""What a live stream sends in its first second over the cells that the surface of the first frame covers: 3.5 bits
+where the camera stands still, 7 where it turns fast."""
+LEAST_LIVE_FACTOR = 0.8
 CLOSE = 0.985
 FINER = 8.0
 
@@ -68,6 +73,20 @@ def cell_factor(surface_bytes: int, room_bytes: float) -> float:
     """
     factor = float(np.clip(np.sqrt(surface_bytes / room_bytes), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
     return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
+
+
+def live_cell_factor(cells: float, bytes_per_second: float) -> float:
+    """Return by how much wider cells must be for what the first frame shows to be sent within a second.
+
+    Parameters
+    ----------
+    cells
+        How many of the present cells its surface would cover if it faced the camera.
+    bytes_per_second
+        The rate.
+    """
+    factor = np.sqrt(cells * BITS_PER_LIVE_CELL / 8 / bytes_per_second)
+    return float(np.clip(factor, LEAST_LIVE_FACTOR, MAX_CELL_FACTOR))
 
 
 def best_cells(error_of: Callable[[float], float]) -> float:

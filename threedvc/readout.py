@@ -20,7 +20,7 @@ from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel, EvidenceModel
 from threedvc.parallel import for_ranges
 
-__all__ = ["Surface", "changes", "first_sights", "in_regions", "read_surface", "surest_part"]
+__all__ = ["Surface", "changes", "first_sights", "in_regions", "read_surface"]
 
 MIN_WEIGHT = 0.02
 CONFIDENT_LOG_ODDS = 2.0
@@ -163,12 +163,14 @@ def first_sights(surface: Surface, sent: DecodedModel, until_frame: int | None) 
 def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpdate:
     """Choose what is worth sending now (live).
 
-    A cell appears when its log-odds are confident and no cell within one cell of it was sent (noise makes
-    the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour when the
-    mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the decoded
-    ones a cell would be sent again for its quantisation error.
+    A cell appears when it is confident, or occupied rather than not among confident ones (a threshold for each
+    cell alone leaves holes where the surface passes between two), and no cell within one cell of it was sent
+    (noise makes the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour
+    when the mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the
+    decoded ones a cell would be sent again for its quantisation error.
     """
-    surface = read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS)
+    present = read_surface(model, threads)
+    surface = present.part(_among_sure_ones(present, model, threads))
     known = _is_sent(sent, surface.cells)
     near = np.zeros(len(surface.cells), dtype=np.int32)
     count_neighbours(
@@ -179,35 +181,17 @@ def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpda
     drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
     moved[known] = drift > RECOLOR_LEVELS
     fresh = ~known & ((near == 0) | _frontier(near))
-    return _update(surface.part(fresh), _vanished(model, sent, threads), surface.part(moved))
+    return _update(surface.part(fresh), _vanished(present, model, sent), surface.part(moved))
 
 
-def surest_part(update: ModelUpdate, model: EvidenceModel, share: float) -> ModelUpdate:
-    """Return the part of an update in the blocks that were seen most often, of about a share of its cells."""
-    groups = [update.added, update.removed, update.recolored]
-    colored = np.concatenate([np.full(len(group), group is not update.removed) for group in groups])
-    cells = np.concatenate(groups)
-    if share <= 0 or not len(cells):
-        keep = np.zeros(len(cells), dtype=bool)
-    else:
-        positions = model.index.locate(cells)
-        blocks, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
-        counts = np.bincount(member)
-        seen = np.bincount(member, model.distance_weight.reshape(-1)[positions]) / counts
-        order = np.argsort(-seen, kind="stable")
-        taken = np.cumsum(counts[order]) <= share * len(cells)
-        chosen = np.zeros(len(blocks), dtype=bool)
-        chosen[order[taken]] = True
-        keep = chosen[member]
-    added, removed, recolored = np.split(keep, np.cumsum([len(group) for group in groups])[:-1])
-    return ModelUpdate(
-        added=update.added[added],
-        added_colors=update.added_colors[added],
-        removed=update.removed[removed],
-        recolored=update.recolored[recolored],
-        recolored_colors=update.recolored_colors[recolored],
-        importance=None if update.importance is None else update.importance[keep[colored]],
-    )
+def _among_sure_ones(surface: Surface, model: EvidenceModel, threads: int) -> NDArray[np.bool_]:
+    """Tell which cells (n,) of a surface are confident, or have three confident ones around them."""
+    sure = np.zeros(model.index.count * BLOCK_CELLS, dtype=np.uint8)
+    sure[model.index.locate(read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS).cells)] = 1
+    positions = model.index.locate(surface.cells)
+    around = np.zeros(len(positions), dtype=np.int32)
+    count_neighbours(surface.cells, positions, model.index.tables, sure, around)
+    return np.asarray((sure[positions] != 0) | (around >= MIN_NEIGHBOURS))
 
 
 def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -215,13 +199,13 @@ def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
     return near <= 3
 
 
-def _vanished(model: EvidenceModel, sent: DecodedModel, threads: int) -> NDArray[np.int32]:
+def _vanished(present: Surface, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.int32]:
     """List sent cells that are confidently empty and have no cell of the present surface beside them."""
     cells, _ = sent.cells()
     positions = model.index.locate(cells)
     cells = cells[model.log_odds.reshape(-1)[positions] < EMPTY_LOG_ODDS]
     flags = np.zeros((model.index.count, BLOCK_CELLS), dtype=np.uint8)
-    flags.reshape(-1)[model.index.locate(read_surface(model, threads).cells)] = 1
+    flags.reshape(-1)[model.index.locate(present.cells)] = 1
     beside = np.zeros(len(cells), dtype=np.int32)
     count_neighbours(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
     gone = (beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
+from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.evidence_view import FrameViews, Thinned
+from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.motion import Located, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity
+from threedvc.rate_control import live_cell_factor
 from threedvc.segmentation import segment
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
 from threedvc.uncertainty import EntropyMeter
@@ -30,6 +33,7 @@ MIN_PIXELS_PER_CELL = 1.3
 BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
+SIGHT_FRAMES = 5
 STATUS_ORDER = ("known", "tracked", "weak", "lost")
 
 
@@ -69,6 +73,7 @@ class SceneObject:
         self.found: list[Located | None] = []
         self.poses: list[Pose] = []
         self.born: int | None = None
+        self._last_sight = np.zeros(0, dtype=np.int64)
 
     def locate(self, views: FrameViews, mask: NDArray[np.bool_], rig: CameraRig, alone: bool) -> Located | None:
         """Find the object in a frame; None where it is not seen and its pose is not known."""
@@ -80,6 +85,17 @@ class SceneObject:
         if self.born is None:
             return self.tracker.start(views, mask, self.number, rig)
         return self.tracker.locate(views, mask, self.evidence)
+
+    def note_sight(self, numbers: NDArray[np.int64], frame: int) -> None:
+        """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
+        more = self.evidence.index.count - len(self._last_sight)
+        self._last_sight = np.concatenate([self._last_sight, np.full(more, frame)])
+        self._last_sight[numbers] = frame
+
+    @property
+    def in_sight(self) -> NDArray[np.bool_]:
+        """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
+        return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
 
     def record(self, frame: int, at: Located | None) -> None:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
@@ -111,6 +127,9 @@ class Scene:
         Median depth of the first frame that has any.
     repeated
         For each frame, whether it is a copy of the one before: it tells nothing new, and is not fused.
+    gains
+        For each frame, units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless
+        the encoder is causal, for others fit them later.
     """
 
     def __init__(
@@ -121,10 +140,12 @@ class Scene:
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
         self.repeated: list[bool] = []
+        self.gains: list[NDArray[np.int64]] = []
         self._before: Frame | None = None
         self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
         self._sensor: SensorModel | None = None
+        self._live_factor: float | None = None
         self.distance_m = 0.0
 
     @property
@@ -152,9 +173,12 @@ class Scene:
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
         labels = segment(frame, self.config.segmentation, self.info)
+        if self._live_factor is None:
+            self._live_factor = self._rated_factor(frame, labels)
         seen = observe(frame, self.info.rig, self._rays)
         views = self.views(frame)
         worst = STATUS_ORDER[0]
+        self.gains.append(self.gains[-1] if self.gains else NEUTRAL)
         for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
             mask = labels == number
             item = self._object(number, frame, mask, sensor)
@@ -168,6 +192,8 @@ class Scene:
             if found is not None:
                 worst = max(worst, str(found.status), key=STATUS_ORDER.index)
                 if found.usable and not self.repeated[-1]:
+                    if number == 0 and self.config.causal:
+                        seen = self._exposed(item, seen, mask, found.T_camera_object)
                     self._fuse(item, seen, mask, found.T_camera_object, sensor)
         self.timestamps.append(frame.timestamp_ns)
         return worst
@@ -224,20 +250,40 @@ class Scene:
             size = default_voxel_size(frame.depth, mask, self.info)
             if number == 0 and not tracked and not self.info.has_camera_poses and not self.config.causal:
                 size *= BACKDROP_CELLS
-            size = max(round(size * self.config.cell_factor, 4), MIN_VOXEL_SIZE_M)
+            size *= self.config.cell_factor * (self._live_factor or 1.0)
+            size = max(round(size, 4), MIN_VOXEL_SIZE_M)
         tracker = Tracker(sensor, self.config.threads) if tracked else None
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 
+    def _rated_factor(self, frame: Frame, labels: NDArray[np.uint8]) -> float:
+        """Return by how much wider cells a live encoder takes for its rate, as it can tell from the first frame."""
+        rate = self.config.bitrate_bps
+        if rate is None or not self.config.causal or not frame.depth.any():
+            return 1.0
+        cells = 0.0
+        for number in np.unique(labels).tolist():
+            mask = labels == number
+            pixel = frame.depth[mask] / self.info.rig.depth.fx
+            area = float(np.square(pixel, dtype=np.float64).sum())
+            cells += area / default_voxel_size(frame.depth, mask, self.info) ** 2
+        return live_cell_factor(cells, rate / 8)
+
     def _stands_still(self, number: int) -> bool:
         """The background of a depth threshold is static by definition, unless the camera's poses are known."""
         return number == 0 and self._one_object and not self.info.has_camera_poses
+
+    def _exposed(self, background: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose) -> Observation:
+        """Find the gain of a frame, and return the frame without it."""
+        self.gains[-1] = camera_gain(seen, mask, pose, background.evidence, self.gains[-1], self.info.grey)
+        return with_gain(seen, self.gains[-1])
 
     def _fuse(
         self, item: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose, sensor: SensorModel
     ) -> None:
         numbers = fuse(item.evidence, seen, mask, pose, sensor, self.config.fusion, self.config.threads)
         item.entropy.update(numbers, self.config.threads)
+        item.note_sight(numbers, seen.frame)
 
 
 def _same_pictures(one: Frame, other: Frame) -> bool:

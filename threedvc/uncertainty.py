@@ -14,10 +14,39 @@ from threedvc.kernels.uncertainty import block_entropies
 from threedvc.object_model import EvidenceModel
 from threedvc.parallel import for_ranges
 
-__all__ = ["EntropyMeter"]
+__all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "misled_bits"]
 
 LOOK_SPREAD = 8.0
 LOOK_WEIGHT = 0.25
+UNKNOWN_BITS = 8.0
+"""Entropy of a colour channel before the first look."""
+
+
+def channel_bits(weight: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the entropy in bits of a colour channel of cells with colour weights (n,), as the meter counts it."""
+    with np.errstate(divide="ignore"):
+        bits = 0.5 * np.log2(2 * np.pi * np.e * LOOK_SPREAD**2 * LOOK_WEIGHT / np.maximum(weight, 0, dtype=np.float64))
+    return np.asarray(np.clip(bits, 0, UNKNOWN_BITS))
+
+
+def misled_bits(off: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the cross-entropy in bits of a channel against a belief whose mean is off.
+
+    The belief has the deviation of one look; one that is far off costs as many bits as none.
+
+    Parameters
+    ----------
+    off
+        (...) levels by which the believed mean differs from the evidence's.
+    weight
+        (...) colour weight of the evidence.
+    """
+    believed = LOOK_SPREAD**2
+    with np.errstate(divide="ignore"):
+        variance = believed * LOOK_WEIGHT / np.maximum(weight, 0, dtype=np.float64)
+    square = variance + np.square(off, dtype=np.float64)
+    bits = 0.5 * np.log2(2 * np.pi * believed) + square / (2 * np.log(2) * believed)
+    return np.asarray(np.minimum(bits, UNKNOWN_BITS))
 
 
 class EntropyMeter:

@@ -465,3 +465,15 @@ def test_verification_fails_where_the_decoder_would() -> None:
     damaged = replace(packets[1], payload=packets[1].payload[:-9])
     with pytest.raises(CorruptStream):
         list(verified([packets[0], damaged, *packets[2:]]))
+
+
+def test_live_a_rest_costs_next_to_nothing() -> None:
+    room = scene("room")
+    settled, rested = (
+        encoded(repeated(room, FRAMES - 1, count), config(causal=True, group_frames=10))[1] for count in (30, 330)
+    )
+    assert stream_bytes(rested) - stream_bytes(settled) < 100
+    decoder = Decoder()
+    assert sum(1 for _ in decoder.frames(rested)) == FRAMES + 330
+    assert decoder.report is not None
+    assert len(decoder.report.status) == FRAMES + 330

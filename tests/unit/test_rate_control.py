@@ -26,6 +26,7 @@ from threedvc.rate_control import (
     cell_factor,
     closest_below,
     error_at,
+    live_cell_factor,
     stream_bytes,
     surface_room,
 )
@@ -54,6 +55,13 @@ def test_cells_follow_the_rate() -> None:
     assert cell_factor(5_000, 20_000) == pytest.approx(0.5, rel=0.01)
     assert cell_factor(10**9, surface_room(300, 3_000)) == 4.0
     assert cell_factor(100, surface_room(0, 10**9)) == 0.25
+
+
+def test_live_cells_follow_the_rate() -> None:
+    assert live_cell_factor(4000, 3000.0) == pytest.approx(1.0)
+    assert live_cell_factor(16_000, 3000.0) == pytest.approx(2.0)
+    assert live_cell_factor(1e9, 1000.0) == 4.0
+    assert live_cell_factor(0, 1000.0) == 0.8
 
 
 @pytest.mark.parametrize(

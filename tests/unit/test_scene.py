@@ -230,3 +230,27 @@ def test_sensor_is_guessed_once_or_given() -> None:
     smooth.add(replace(frame(1), depth=(frame(1).depth + rng.normal(0, 0.01, rough.depth.shape)).astype(np.float32)))
     assert smooth.sensor is before
     assert Scene(INFO, config()).sensor.sigma_m(2.0) > 0
+
+
+def test_what_was_not_in_the_field_of_view_lately_is_out_of_sight() -> None:
+    scene = Scene(INFO, config())
+    for index in range(8):
+        # The camera turns round after the third frame.
+        turn = make_pose(np.diag([-1.0, 1.0, -1.0]), np.zeros(3)) if index > 2 else identity()
+        scene.add(replace(frame(index, boxed=False), T_world_camera=turn))
+    background = scene.objects[0]
+    ahead = background.evidence.index.coords[: background.evidence.index.count, 2] > 0
+    assert 0 < np.count_nonzero(ahead) < len(ahead)
+    np.testing.assert_array_equal(background.in_sight, ~ahead)
+
+
+@pytest.mark.parametrize(
+    ("changes", "wider"), [({}, True), ({"causal": False}, False), ({"voxel_size_m": 0.05}, False)]
+)
+def test_live_cells_are_as_wide_as_the_rate_asks(changes: dict[str, object], wider: bool) -> None:
+    sizes = []
+    for rate in (8e3, 8.8e3):
+        scene = Scene(INFO, config(**{"causal": True, "bitrate_bps": rate, **changes}))
+        scene.add(frame(0))
+        sizes.append([item.evidence.voxel_size_m for _, item in sorted(scene.objects.items())])
+    np.testing.assert_allclose(np.divide(*sizes), 1.1**0.5 if wider else 1, rtol=0.01)
