@@ -30,7 +30,7 @@ OUT_OF_SIGHT = 0.1
 """How much a bit counts that the present picture does not show."""
 BLOCK_BITS, ADDED_BITS = 40.0, 2.0
 REMOVED_BITS, RECOLORED_BITS = 6.0, 5.5
-"""About what a block with new cells takes, and each cell: least squares over parts of updates of recorded rooms."""
+"""About what a block with new cells takes, and each cell: by hand, after fits to parts of updates of recorded rooms."""
 
 
 def bits_lifted(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.float64]:
