@@ -3,7 +3,7 @@
 
 Encodes each sequence at several rates with both, scores all by `threedvc.metrics`, writes tables and plots::
 
-    python benchmarks/rd.py [FOLDER...] [--frames N] [--points N] [--out FILE.md]
+    python benchmarks/rd.py [FOLDER...] [--frames N] [--rates KBIT_S,...] [--out FILE.md]
 
 Without folders all sequences in ``$THREEDVC_DATA``, or in ``../shared/data``, are taken. Needs the extra ``[bench]``.
 Points that were measured are kept, so that a run that was broken off goes on; those of 3dvc are measured anew
@@ -13,15 +13,17 @@ when its sources change.
 from __future__ import annotations
 
 import argparse
+import math
 import platform
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from av1 import MissingCodec, library
 from rd_plot import plot
 from rd_points import Point, Recording, Store, av1_points, threedvc_points
-from rd_report import Result, report
+from rd_report import COLOR, DEPTH, Result, report
 from reporting import REPOSITORY, commit
 from sequences import DATA
 from threedvc import ThreedvcError
@@ -31,7 +33,6 @@ __all__ = ["main", "measured", "recorded"]
 
 STORE = REPOSITORY / "build" / "bench-rd"
 OUTPUT = Path(__file__).with_name("RESULTS.md")
-POINTS = 5
 MIN_POINTS = 2
 
 
@@ -40,17 +41,24 @@ def recorded() -> list[Path]:
     return sorted(path.parent for path in DATA.glob("*/intrinsics.json"))
 
 
-def measured(recording: Recording, store: Store, points: int) -> Result:
+def measured(recording: Recording, store: Store) -> Result:
     """Measure all points of one sequence, or take those that were measured."""
     name = recording.run.sequence
+    ours = _told(f"{name}: 3dvc", threedvc_points(recording, store))
+
+    def theirs(kind: str, measure: str) -> list[Point]:
+        best = max(point.quality[measure] for point in ours)
+        points = av1_points(recording, store, kind, lambda point: point.quality[measure] > best)
+        return _told(f"{name}: AV1 {kind}", points)
+
     return Result(
         sequence=name,
         options=recording.run.options,
         frames=len(recording.frames),
         seconds=recording.seconds,
-        color=_told(f"{name}: AV1 colour", av1_points(recording, store, "color")),
-        depth=_told(f"{name}: AV1 depth", av1_points(recording, store, "depth")),
-        ours=_told(f"{name}: 3dvc", threedvc_points(recording, store, points)),
+        color=theirs("color", COLOR),
+        depth=theirs("depth", DEPTH),
+        ours=ours,
     )
 
 
@@ -65,12 +73,17 @@ def _telling(what: str, points: Iterable[Point]) -> Iterator[Point]:
         yield point
 
 
-def results(folders: Sequence[Path], limit: int | None, points: int, store: Store, failures: list[str]) -> list[Result]:
+def results(
+    folders: Sequence[Path], limit: int | None, rates: tuple[float, ...], store: Store, failures: list[str]
+) -> list[Result]:
     """Measure sequences, and note those that cannot be."""
     found = []
     for folder in folders:
         try:
-            found.append(measured(Recording.of(folder, limit), store, points))
+            recording = Recording.of(folder, limit)
+            if rates:
+                recording = replace(recording, run=replace(recording.run, rates=rates))
+            found.append(measured(recording, store))
         except ThreedvcError as error:
             print(error, file=sys.stderr)
             failures.append(f"{folder.name}: {error}")
@@ -99,19 +112,31 @@ def count(text: str) -> int:
     return int(text)
 
 
+def rates_of(text: str) -> tuple[float, ...]:
+    """Return the rates of a list with commas, rising.
+
+    Raises
+    ------
+    ValueError
+        If one is no positive number, or there are too few for a curve.
+    """
+    rates = tuple(sorted({float(part) for part in text.split(",")}))
+    if len(rates) < MIN_POINTS or not 0 < rates[0] <= rates[-1] < math.inf:
+        raise ValueError(text)
+    return rates
+
+
 def parsed(arguments: list[str] | None) -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description="Compare 3dvc with AV1 for colour and AV1 for depth.")
     parser.add_argument("folders", type=Path, nargs="*", help=f"sequences (default: all in {DATA})")
     parser.add_argument("--frames", type=count, metavar="N", help="measure the first N frames of each")
-    parser.add_argument("--points", type=count, metavar="N", default=POINTS,
-                        help="rates of 3dvc (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--rates", type=rates_of, metavar="KBIT_S,...", default=(),
+                        help="rates of 3dvc (default: those of the table of runs)")  # fmt: skip
     parser.add_argument("--out", type=Path, default=OUTPUT, help="file to write; plots go to a folder beside it")
     parser.add_argument("--cache", type=Path, default=STORE, help="folder of points that were measured")
     parser.add_argument("--reuse", action="store_true", help="take points of other versions of the codecs, too")
     options = parser.parse_args(arguments)
-    if options.points < MIN_POINTS:
-        parser.error(f"--points {options.points}: a curve needs at least {MIN_POINTS}")
     return options
 
 
@@ -127,7 +152,7 @@ def main(arguments: list[str] | None = None) -> None:
     except MissingCodec as error:
         sys.exit(str(error))
     failures: list[str] = []
-    found = results(folders, options.frames, options.points, Store(options.cache, options.reuse), failures)
+    found = results(folders, options.frames, options.rates, Store(options.cache, options.reuse), failures)
     plots = options.out.with_name("plots")
     plots.mkdir(parents=True, exist_ok=True)
     for result in found:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,18 +21,31 @@ import threedvc
 from av1 import VideoCodec, library
 from planes import InverseDepth, Plane
 from reporting import REPOSITORY
-from sequences import RUNS, Run
+from sequences import Run
 from threedvc.cli.main import main as command
-from threedvc.config import EncoderConfig, Motion, Sensor, with_quality
+from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.frame import SequenceInfo
 from threedvc.metrics import ColorQuality, DepthErrors, depth_units, mean_color_quality
 
-__all__ = ["Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
+__all__ = ["RUNS", "Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
 
 MILLIMETRES = 1000.0
-QUALITIES = (15, 85)
-AV1_CRF = (20, 30, 40, 50, 58, 64, 70)
+RATES = (8.0, 16.0, 32.0, 64.0)
+"""Rates in kbit/s of a sequence that `RUNS` does not name: the codec is made for 5 to 64."""
+RUNS = (
+    Run(sequence="paper_cow", options="--segment depth:0.1m..1.2m --motion known", rates=(3.0, 4.7, 7.0)),
+    Run(sequence="cow_turn", options="--segment masks --motion known", rates=(6.0, 8.78, 12.8)),
+    Run(sequence="two_toys", options="--segment masks --motion known", rates=(24.0, 34.7, 48.0)),
+    Run(sequence="room_orbit", options="--segment none --motion known", rates=(20.0, 28.6, 48.0)),
+    Run(sequence="kitchen300", options="--motion known", rates=(17.0, 25.0, 40.0)),
+    Run(sequence="fr1_rpy", options="--motion known", rates=(32.0, 55.9, 80.0)),
+    Run(sequence="realsense_desk", options="--max-depth 4m", rates=(32.0, 64.0, 100.0)),
+    Run(sequence="iphone_door", options="--motion known", rates=(8.0, 16.0, 32.0)),
+    Run(sequence="cereal_box", options="--segment masks --motion track", rates=(16.0, 32.0, 64.0)),
+)
+"""How sequences are encoded here, and at which rates in kbit/s, where 3-D models are at home."""
+AV1_CRF = (70, 64, 58, 50, 40, 30, 20)
 AV1_SCALES = (1, 2, 4, 8)
 
 
@@ -105,9 +118,9 @@ class Recording:
 
     @classmethod
     def of(cls, folder: Path, limit: int | None = None) -> Recording:
-        """Take the first run that names the folder, or the encoder's own choices."""
+        """Take the run that names the folder, or the encoder's own choices at `RATES`."""
         name = folder.resolve().name
-        return cls(folder, next((run for run in RUNS if run.sequence == name), Run(sequence=name)), limit)
+        return cls(folder, next((run for run in RUNS if run.sequence == name), Run(sequence=name, rates=RATES)), limit)
 
     @cached_property
     def frames(self) -> FolderSequence:
@@ -167,13 +180,9 @@ def config_of(options: str) -> EncoderConfig:
     )
 
 
-def ladder(config: EncoderConfig, points: int) -> list[EncoderConfig]:
-    """Return choices from coarse to fine around given ones; those have cells of their own only if they name them."""
-    qualities = np.round(np.linspace(*QUALITIES, points)).astype(int).tolist()
-    finer = [with_quality(config, quality) for quality in qualities]
-    if config.voxel_size_m is None:
-        return finer
-    return [replace(each, voxel_size_m=float(np.round(config.voxel_size_m * each.cell_factor, 4))) for each in finer]
+def ladder(config: EncoderConfig, rates: Sequence[float]) -> list[EncoderConfig]:
+    """Return choices with given rates in kbit/s."""
+    return [replace(config, bitrate_bps=1000 * rate) for rate in rates]
 
 
 @dataclass(frozen=True)
@@ -218,15 +227,11 @@ def source_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-def threedvc_points(recording: Recording, store: Store, points: int) -> Iterator[Point]:
+def threedvc_points(recording: Recording, store: Store) -> Iterator[Point]:
     """Yield the points of 3dvc, coarse to fine."""
     version = source_digest()
-    for config in ladder(recording.config, points):
-        cells = f"{config.cell_factor:.3g} of the usual cells"
-        if config.voxel_size_m is not None:
-            cells = f"{MILLIMETRES * config.voxel_size_m:g} mm"
-        setting = f"{cells}, steps {config.color.luma_step:.3g}/"
-        setting += f"{config.color.chroma_step:.3g}"
+    for rate, config in zip(recording.run.rates, ladder(recording.config, recording.run.rates), strict=True):
+        setting = f"{rate:g} kbit/s"
         place = store.place(recording, file_name(f"3dvc {recording.run.options} {setting}"))
         measure = partial(_ours, recording, config, setting, place.with_suffix(".3dvc"))
         yield store.point(place, version, measure)
@@ -246,8 +251,11 @@ def _ours(recording: Recording, config: EncoderConfig, setting: str, stream: Pat
     return Point(setting=setting, size=size, quality=score.quality())
 
 
-def av1_points(recording: Recording, store: Store, kind: str) -> Iterator[Point]:
-    """Yield the points of AV1 for one kind of pictures, ``color`` or ``depth``."""
+def av1_points(recording: Recording, store: Store, kind: str, enough: Callable[[Point], bool]) -> Iterator[Point]:
+    """Yield the points of AV1 for one kind of pictures, ``color`` or ``depth``: of each size, from coarse to fine.
+
+    A size goes no further than to the first point that is good `enough`.
+    """
     versions = library().library_versions
     version = f"PyAV {library().__version__}, libavcodec {versions['libavcodec']}"
     measure = {"color": _av1_color, "depth": _av1_depth}[kind]
@@ -256,7 +264,10 @@ def av1_points(recording: Recording, store: Store, kind: str) -> Iterator[Point]
         for crf in AV1_CRF:
             codec = VideoCodec(width=camera.width, height=camera.height, fps=recording.info.fps, crf=crf, scale=scale)
             place = store.place(recording, f"av1-{kind}-preset{codec.preset}-scale{scale}-crf{crf}")
-            yield store.point(place, version, partial(measure, recording, codec))
+            point = store.point(place, version, partial(measure, recording, codec))
+            yield point
+            if enough(point):
+                break
 
 
 def _av1_setting(codec: VideoCodec) -> str:

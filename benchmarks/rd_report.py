@@ -129,7 +129,7 @@ def curve(points: Iterable[Point], measure: str) -> Curve:
 
 def report(results: Sequence[Result], heading: str, plots: Path | None = None, failures: Sequence[str] = ()) -> str:
     """Return the report as Markdown; `plots` is the folder of plots as the report names it."""
-    parts = ["# Rate and distortion", heading, _summary(results), NOTE]
+    parts = ["# Rate and distortion", heading, *([_summary(results)] if results else []), NOTE]
     parts += [f"Failed: {failure}." for failure in failures]
     for result in results:
         options = f" with `{result.options}`" if result.options else ""

@@ -47,10 +47,14 @@ and writing PNG files, on all cores."""
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One line of the table: a sequence by the name of its folder, and options of ``3dvc encode``."""
+    """One line of the table: a sequence by the name of its folder, and options of ``3dvc encode``.
+
+    Comparisons with other codecs also name rates in kbit/s.
+    """
 
     sequence: str
     options: str = ""
+    rates: tuple[float, ...] = ()
 
 
 RUNS = (

@@ -30,6 +30,7 @@ from threedvc.pose import Pose, compose, inverse
 from threedvc.rate_control import (
     CLOSE,
     FINER,
+    LEAST_STEP,
     MIDDLE_STEP,
     best_cells,
     cell_factor,
@@ -157,9 +158,10 @@ class Encoder:
             return stream_bytes(self._everything(finished, config(step), picture_step))
 
         step, size = closest_below(made, target)
-        if size < CLOSE * target and finished is not None and finished.backdrop is not None:
+        finest = max(step / FINER, LEAST_STEP)
+        if size < CLOSE * target and finished is not None and finished.backdrop is not None and finest < step:
             # Pictures come in leaps; cells fill what a leap leaves.
-            for_cells, larger = closest_below(lambda each: made(each, step), target, (step / FINER, step))
+            for_cells, larger = closest_below(lambda each: made(each, step), target, (finest, step))
             if size < larger <= target:
                 return config(for_cells), step
         return config(step), None

@@ -19,6 +19,7 @@ from threedvc.wire import pack_map
 __all__ = [
     "CLOSE",
     "FINER",
+    "LEAST_STEP",
     "MIDDLE_STEP",
     "LeakyBucket",
     "best_cells",

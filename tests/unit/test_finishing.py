@@ -104,6 +104,14 @@ def test_a_background_at_rest_is_a_picture() -> None:
         assert 10 * np.log10(255**2 / error) > 28
 
 
+@needs_avif
+def test_a_rate_above_what_there_is_to_send_takes_the_finest_steps() -> None:
+    sequence = scene("paper", 3)
+    packets = encoded(sequence, replace(FILE, segmentation=THRESHOLD, bitrate_bps=4_000_000))
+    assert members(packets, PacketType.BACKDROP)
+    assert psnr(drawn(packets), sequence) > 20
+
+
 def test_a_moving_camera_has_no_backdrop() -> None:
     assert not members(encoded(scene("room"), with_preset(FILE, Preset.FAST)), PacketType.BACKDROP)
 

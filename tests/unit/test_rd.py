@@ -49,7 +49,7 @@ def folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
 
 
 class TestSettings:
-    @pytest.mark.parametrize("run", RUNS, ids=lambda run: f"{run.sequence} {run.options}")
+    @pytest.mark.parametrize("run", [*RUNS, *rd_points.RUNS], ids=lambda run: f"{run.sequence} {run.options}")
     def test_options_of_every_run_are_understood(self, run: rd_points.Run) -> None:
         config = config_of(run.options)
         assert config.motion == (run.options.partition("--motion ")[2] or Motion.AUTO)
@@ -62,16 +62,28 @@ class TestSettings:
 
     def test_named_folder_takes_its_first_run(self, tmp_path: Path) -> None:
         assert Recording.of(tmp_path / "paper_cow").run.options.startswith("--segment depth:0.1m..1.2m")
-        assert Recording.of(tmp_path / "mine").run.options == ""
+        assert Recording.of(tmp_path / "mine").run == rd_points.Run(sequence="mine", rates=rd_points.RATES)
 
-    def test_ladder_goes_from_coarse_to_fine_around_the_choice(self) -> None:
-        config = replace(config_of("--voxel-size 16mm"), threads=1)
-        cells = [rung.voxel_size_m for rung in ladder(config, 3)]
-        steps = [rung.color.luma_step / config.color.luma_step for rung in ladder(config, 3)]
-        assert cells[1] == 0.016
-        assert cells[0] > 0.024 > 0.011 > cells[2]
-        assert steps[0] > 3 > 1 == steps[1] > 0.3 > steps[2]
-        assert ladder(config, 3)[1] == config
+    def test_ladder_has_the_rates(self) -> None:
+        config = config_of("--max-depth 4m")
+        assert [rung.bitrate_bps for rung in ladder(config, (8.78, 16))] == [8780, 16000]
+        assert ladder(config, (8,))[0] == replace(config, bitrate_bps=8000)
+
+    def test_av1_goes_from_coarse_to_fine_until_it_is_good_enough(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, folder: Path
+    ) -> None:
+        def measured(recording: Recording, codec: rd_points.VideoCodec) -> Point:
+            return point(1, psnr=100 - codec.crf / codec.scale, setting=f"{codec.scale}/{codec.crf}")
+
+        versions = {"libavcodec": (1,)}
+        monkeypatch.setattr(
+            rd_points, "library", lambda: type("PyAV", (), {"__version__": "0", "library_versions": versions})
+        )
+        monkeypatch.setattr(rd_points, "_av1_color", measured)
+        found = rd_points.av1_points(
+            Recording.of(folder), Store(tmp_path), "color", lambda each: each.quality[COLOR] > 49
+        )
+        assert [each.setting for each in found] == ["1/70", "1/64", "1/58", "1/50", "2/70", "4/70", "8/70"]
 
 
 class TestRecording:
@@ -198,7 +210,7 @@ class TestCommand:
         with pytest.raises(SystemExit, match=r"install the extra \[bench\]"):
             rd.main([str(tmp_path), "--out", str(tmp_path / "table.md")])
 
-    @pytest.mark.parametrize("options", [["--points", "1"], ["--frames", "0"]])
+    @pytest.mark.parametrize("options", [["--rates", "8"], ["--rates", "0,8"], ["--rates", "8,x"], ["--frames", "0"]])
     def test_impossible_numbers_are_refused(self, options: list[str]) -> None:
         with pytest.raises(SystemExit, match="2"):
             rd.main(options)
@@ -206,14 +218,14 @@ class TestCommand:
     def test_sequence_that_cannot_be_read_is_named_and_the_others_stand(
         self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        def points(recording: Recording, store: Store, kind: str) -> Iterator[Point]:
+        def points(recording: Recording, store: Store, kind: str, enough: object) -> Iterator[Point]:
             yield from (result([]).color if kind == "color" else result([]).depth)
 
         monkeypatch.setattr(rd, "av1_points", points)
         monkeypatch.setattr(rd, "library", lambda: type("PyAV", (), {"__version__": "0"}))
         monkeypatch.setattr(rd, "plot", lambda _, picture: None)
         table = tmp_path / "out" / "table.md"
-        chosen = ["--points", "2", "--frames", "2", "--cache", str(tmp_path / "cache"), "--out", str(table)]
+        chosen = ["--rates", "64,256", "--frames", "2", "--cache", str(tmp_path / "cache"), "--out", str(table)]
         with pytest.raises(SystemExit, match="1 of the sequences failed"):
             rd.main([str(tmp_path / "nothing"), str(folder), *chosen])
         assert "Failed: nothing: " in table.read_text(encoding="utf-8")
