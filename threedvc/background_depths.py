@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: MIT
+"""The depth picture of a background at rest before a camera at rest: measured in all frames, coded as is best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import product
+from math import inf
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import Camera
+from threedvc.coding.depth_picture import (
+    MAX_SAMPLE,
+    DepthPicture,
+    DepthSteps,
+    decode_depths,
+    encode_depths,
+    grid_shape,
+)
+from threedvc.depth_cells import spread
+from threedvc.object_model import DecodedModel
+from threedvc.pose import Pose
+
+__all__ = ["RELIEF_BITS", "DepthChoice", "best_depths", "measured_depths"]
+
+RELIEF_BITS = 3
+"""Cells made of a picture cost nothing, so they tell as finely as they can where the surface passes."""
+CELL_PIXELS = 2.0
+MARGIN_PX = 2
+OUTLIER = 0.02
+SLOPE_PX = 8
+LEVELS = 5
+SPACINGS = (4, 2, 1)
+MOST_TRIED = 80_000
+"""Finer grids than of this many samples are not tried."""
+STEPS = (0.016, 0.008)
+"""Quantisation steps as shares of the median inverse depth."""
+HALVINGS = (1, 2)
+DEAD_ZONES = (160, 224)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthChoice:
+    """A coded depth picture.
+
+    Attributes
+    ----------
+    payload
+        For `decode_depths`.
+    voxel_size_m
+        Edge of the cells that are to be made of it.
+    """
+
+    payload: bytes
+    voxel_size_m: float
+
+    def model(self, camera: Camera, T_camera_object: Pose) -> DecodedModel:
+        """Return the object that the decoder makes of it, before a depth camera."""
+        model = DecodedModel(self.voxel_size_m, relief_bits=RELIEF_BITS)
+        spread(decode_depths(self.payload, camera.width, camera.height), model, camera, T_camera_object)
+        return model
+
+
+def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_]]]) -> Floats:
+    """Average the inverse depths that frames measure away from objects.
+
+    Parameters
+    ----------
+    frames
+        Depth (h, w) in metres, 0 = no measurement, and where objects are (h, w).
+
+    Returns
+    -------
+    (h, w) float64 in 1/m; 0 where no frame tells.
+    """
+    seen = [_seen(depth, hidden) for depth, hidden in frames]
+    middle = np.zeros_like(seen[0], dtype=np.float64)
+    for again in (False, True):
+        total, weight = np.zeros_like(middle), np.zeros_like(middle)
+        for found in seen:
+            share = (found > 0).astype(np.float64)
+            if again:
+                away = (found - middle) / (OUTLIER * np.maximum(middle, 1e-9))
+                share /= (1 + away**2) ** 2
+            total += share * found
+            weight += share
+        middle = total / np.maximum(weight, 1e-9)
+    return np.where(weight > 0, middle, 0.0)
+
+
+def best_depths(measured: Floats, camera: Camera, cost: Callable[[DepthChoice], float]) -> DepthChoice | None:
+    """Return that coding of inverse depths (h, w) that costs least, of some tried; None if all cost infinitely much."""
+    if camera.distorted or not measured.any():
+        return None
+    tried = [(cost(choice), choice) for choice in _choices(measured, camera)]
+    best = min(tried, key=lambda each: each[0], default=(inf, None))
+    return best[1] if best[0] < inf else None
+
+
+def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the inverse depths of a frame well away from objects, 0 elsewhere."""
+    near = cv2.dilate(hidden.astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8))
+    clear = (depth > 0) & (near == 0)
+    return np.where(clear, 1 / np.where(clear, depth, np.float32(1)), np.float32(0))
+
+
+def _choices(measured: Floats, camera: Camera) -> Iterator[DepthChoice]:
+    """Yield codings to be tried."""
+    known = measured[measured > 0]
+    middle = float(np.median(known))
+    scale_bits = int(np.floor(np.log2(MAX_SAMPLE / 8 / known.max())))
+    size = max(round(CELL_PIXELS / (middle * camera.fx), 4), 1e-4)
+    for spacing in SPACINGS:
+        rows, columns = grid_shape(camera.width, camera.height, spacing)
+        if not 0 <= scale_bits <= 40 or rows * columns > MOST_TRIED:
+            continue
+        samples = np.rint(_sampled(measured, spacing) * 2.0**scale_bits).astype(np.int64)
+        picture = DepthPicture(samples=np.clip(samples, 0, MAX_SAMPLE), spacing=spacing, scale_bits=scale_bits)
+        for step, halvings, dead_zone in product(STEPS, HALVINGS, DEAD_ZONES):
+            units = max(1, round(step * middle * 2.0**scale_bits))
+            steps = DepthSteps(step=units, levels=LEVELS, halvings=halvings, dead_zone=dead_zone)
+            yield DepthChoice(payload=encode_depths(picture, steps)[0], voxel_size_m=size)
+
+
+def _sampled(measured: Floats, spacing: int) -> Floats:
+    """Return inverse depths at the samples of a grid; beyond the picture its border goes on as it is inclined."""
+    filled = np.where(measured > 0, measured, cv2.dilate(measured, np.ones((3, 3), np.uint8)))
+    for axis in (0, 1):
+        filled = np.moveaxis(_extended(np.moveaxis(filled, axis, 0), spacing), 0, axis)
+    return filled[::spacing, ::spacing]
+
+
+def _extended(values: Floats, spacing: int) -> Floats:
+    """Append rows up to the next multiple of `spacing`."""
+    count = -(len(values) - 1) % spacing
+    back = min(SLOPE_PX, len(values) - 1)
+    if not count or not back:
+        return np.concatenate([values, np.repeat(values[-1:], count, axis=0)])
+    last, before = values[-1], values[-1 - back]
+    slope = np.where((before > 0) & (np.abs(last - before) < 0.1 * last), (last - before) / back, 0)
+    more = [np.where(last > 0, last + slope * (step + 1), 0) for step in range(count)]
+    return np.concatenate([values, np.stack(more)])
