@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
-from threedvc.errors import CorruptStream
+from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.kernels.depth_picture import DEPTH_COUNTERS, MAX_SAMPLE, DepthSamples, code_depths
 from threedvc.kernels.entropy import NUMBER_COUNTERS
+from threedvc.limits import MAX_DEPTH_SAMPLES
 
 __all__ = [
     "MAX_SAMPLE",
-    "MAX_SAMPLES",
     "DepthPicture",
     "DepthSteps",
     "decode_depths",
@@ -27,7 +27,6 @@ BYTES_PER_SAMPLE = 16
 MAX_SPACING = 64
 MAX_SCALE_BITS = 40
 MAX_LEVELS = 10
-MAX_SAMPLES = 1 << 20
 MAX_HALVINGS = 8
 
 
@@ -98,6 +97,8 @@ def decode_depths(payload: bytes, width: int, height: int) -> DepthPicture:
     ------
     CorruptStream
         If the payload is damaged.
+    LimitExceeded
+        If there are more than `MAX_DEPTH_SAMPLES`.
     """
     reader = RangeReader(payload)
     decoded = _code(reader, None, None, False, (height, width))
@@ -131,8 +132,10 @@ def _code(
             " the stream is damaged"
         )
     shape = grid_shape(size[1], size[0], spacing) if picture is None else size
-    if shape[0] * shape[1] > MAX_SAMPLES:
-        raise CorruptStream(f"a depth picture of {shape[1]}x{shape[0]} samples is too large; at most {MAX_SAMPLES}")
+    if shape[0] * shape[1] > MAX_DEPTH_SAMPLES:
+        raise LimitExceeded(
+            f"a depth picture of {shape[1]}x{shape[0]} samples is larger than the {MAX_DEPTH_SAMPLES} accepted"
+        )
     kept = DepthSteps(step=step, levels=levels, halvings=halvings)
     job = DepthSamples(
         values=np.zeros(shape, dtype=np.int64),

@@ -22,8 +22,11 @@ MARGIN_CELLS = 1.5
 """How far the layer goes on beyond the border of the picture, where rays of its outermost pixels need it."""
 NEAR = 7
 """Samples that differ by less than a part of this many may belong to the surface around a sample."""
-REACH_CELLS = 0.75
-"""A cell's centre is within half a cell of the surface along some axis; slopes differ a little around a sample."""
+LEAST_SHARE = 0.5
+"""A surface that goes on from a sample ends where its inverse depth is this share of the sample's."""
+REACH_CELLS = 0.51
+"""A cell's centre is within half a cell of the surface along some axis."""
+PLACE_LIMIT = float(1 << 24)
 FAR_DEPTH = 1e30
 
 
@@ -83,41 +86,73 @@ def margin_of(view: DepthView, y: int, x: int) -> float:
 
 
 @kernel
-def find_range(view: DepthView, y: int, x: int) -> tuple[float, float]:
+def steepest(samples: NDArray[np.int64], y: int, x: int, dy: int, dx: int) -> float:
+    """Return the largest difference along an axis between samples of one surface, of the nine around (y, x)."""
+    most = np.int64(0)
+    for across in range(-1, 2):
+        for along in range(-1, 1):
+            j, i = y + across * dx + along * dy, x + across * dy + along * dx
+            a, b = at(samples, j, i), at(samples, j + dy, i + dx)
+            if a > 0 and b > 0 and not differ(a, b):
+                most = max(most, abs(a - b))
+    return float(most)
+
+
+@kernel
+def find_reach(view: DepthView, y: int, x: int, reach: NDArray[np.float64]) -> None:
+    """Find how many samples left, right, up and down (4,) a sample may speak for."""
+    samples = view.samples
+    rough = 0
+    for k in range(4):
+        rough += not is_smooth(samples, y - (k & 1), x - (k >> 1))
+    reach[:] = 1.0 if rough else 0.5
+    margin = max(margin_of(view, y, x), 1.0)
+    if x == 0:
+        reach[0] = margin
+    if x == samples.shape[1] - 1:
+        reach[1] = margin
+    if y == 0:
+        reach[2] = margin
+    if y == samples.shape[0] - 1:
+        reach[3] = margin
+
+
+@kernel
+def find_range(view: DepthView, y: int, x: int, reach: NDArray[np.float64]) -> tuple[float, float]:
     """Return between which depths the cells lie that the surface at a sample passes."""
-    samples, unit = view.samples, view.unit
+    samples, unit, lens = view.samples, view.unit, view.lens
     here = samples[y, x]
-    across, down = tilt(samples, y, x, 0, 1), tilt(samples, y, x, 1, 0)
-    low, high = here - abs(across) - abs(down), here + abs(across) + abs(down)
+    over_x, over_y = max(reach[0], reach[1]), max(reach[2], reach[3])
+    across, down = steepest(samples, y, x, 0, 1), steepest(samples, y, x, 1, 0)
+    low, high = here - across * over_x - down * over_y, here + across * over_x + down * over_y
     for k in range(9):
         other = at(samples, y + k // 3 - 1, x + k % 3 - 1)
         if other > 0 and abs(other - here) * NEAR <= here:
             low, high = min(low, float(other)), max(high, float(other))
-    nx, ny = across * unit * view.lens[0], down * unit * view.lens[1]
-    nz = here * unit - nx * (x - view.lens[2]) / view.lens[0] - ny * (y - view.lens[3]) / view.lens[1]
-    reach = REACH_CELLS * view.cell_size_m * np.sqrt(nx * nx + ny * ny + nz * nz)
-    return max(1.0 - reach, 0.0) / (high * unit), (1.0 + reach) / (max(low, here * 0.5) * unit)
+    nx, ny = across * unit * lens[0], down * unit * lens[1]
+    nz = high * unit + nx * (abs(x - lens[2]) + over_x) / lens[0] + ny * (abs(y - lens[3]) + over_y) / lens[1]
+    thick = REACH_CELLS * view.cell_size_m * np.sqrt(nx * nx + ny * ny + nz * nz)
+    return max(1.0 - thick, 0.0) / (high * unit), (1.0 + thick) / (max(low, LEAST_SHARE * here) * unit)
 
 
 @kernel
 def find_bounds(view: DepthView, y: int, x: int, bounds: NDArray[np.int64]) -> None:
     """Find the cells, lowest and after the highest (2, 3), whose centres a sample may speak for."""
-    samples, T = view.samples, view.T_camera_object
-    least_z, most_z = find_range(view, y, x)
-    margin, reach = margin_of(view, y, x), 1.0
-    if is_smooth(samples, y, x) and is_smooth(samples, y - 1, x - 1):
-        reach = 0.5 if is_smooth(samples, y - 1, x) and is_smooth(samples, y, x - 1) else 1.0
-    left, right = (margin if x == 0 else reach), (margin if x == samples.shape[1] - 1 else reach)
-    top, bottom = (margin if y == 0 else reach), (margin if y == samples.shape[0] - 1 else reach)
+    T, lens = view.T_camera_object, view.lens
+    reach = np.empty(4)
+    find_reach(view, y, x, reach)
+    least_z, most_z = find_range(view, y, x, reach)
     for axis in range(3):
         least, most = FAR_DEPTH, -FAR_DEPTH
         for k in range(8):
             z = most_z if k & 1 else least_z
-            px = ((x + right if k & 2 else x - left) - view.lens[2]) / view.lens[0] * z - T[0, 3]
-            py = ((y + bottom if k & 4 else y - top) - view.lens[3]) / view.lens[1] * z - T[1, 3]
+            px = ((x + reach[1] if k & 2 else x - reach[0]) - lens[2]) / lens[0] * z - T[0, 3]
+            py = ((y + reach[3] if k & 4 else y - reach[2]) - lens[3]) / lens[1] * z - T[1, 3]
             place = (T[0, axis] * px + T[1, axis] * py + T[2, axis] * (z - T[2, 3])) / view.cell_size_m
             least, most = min(least, place), max(most, place)
-        bounds[0, axis], bounds[1, axis] = np.int64(np.ceil(least - 0.5)), np.int64(np.floor(most - 0.5)) + 1
+        if not -PLACE_LIMIT < least <= most < PLACE_LIMIT:
+            least, most = -PLACE_LIMIT, PLACE_LIMIT
+        bounds[0, axis], bounds[1, axis] = np.int64(np.ceil(least - 0.501)), np.int64(np.floor(most - 0.499)) + 1
 
 
 @kernel
@@ -138,6 +173,17 @@ def count_places(view: DepthView) -> float:
 
 
 @kernel
+def interpolate_surface(
+    samples: NDArray[np.int64], y: int, x: int, f: float, g: float, surface: NDArray[np.float64]
+) -> None:
+    """Find inverse depth and its slopes (3,) at (x + f, y + g) amid four samples."""
+    a, b = float(samples[y, x]), float(samples[y, x + 1])
+    c, d = float(samples[y + 1, x]), float(samples[y + 1, x + 1])
+    surface[0] = a + (b - a) * f + (c - a) * g + (a - b - c + d) * f * g
+    surface[1], surface[2] = (b - a) * (1.0 - g) + (d - c) * g, (c - a) * (1.0 - f) + (d - b) * f
+
+
+@kernel
 def local_surface(view: DepthView, y: int, x: int, u: float, v: float, surface: NDArray[np.float64]) -> bool:
     """Find inverse depth and its slopes (3,) at a place (u, v); return False if sample (y, x) does not speak for it.
 
@@ -148,22 +194,17 @@ def local_surface(view: DepthView, y: int, x: int, u: float, v: float, surface: 
     rows, columns = samples.shape
     ny = min(max(np.int64(np.floor(v + 0.5)), 0), rows - 1)
     nx = min(max(np.int64(np.floor(u + 0.5)), 0), columns - 1)
-    y0 = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
-    x0 = min(max(np.int64(np.floor(u)), 0), max(columns - 2, 0))
+    y0, x0 = np.int64(np.floor(v)), np.int64(np.floor(u))
     mine = ny == y and nx == x
     if is_smooth(samples, y0, x0):
-        a, b = float(samples[y0, x0]), float(samples[y0, x0 + 1])
-        c, d = float(samples[y0 + 1, x0]), float(samples[y0 + 1, x0 + 1])
-        f, g = u - x0, v - y0
-        surface[1], surface[2] = (b - a) * (1.0 - g) + (d - c) * g, (c - a) * (1.0 - f) + (d - b) * f
-        surface[0] = a + (b - a) * f + (c - a) * g + (a - b - c + d) * f * g
+        interpolate_surface(samples, y0, x0, u - x0, v - y0, surface)
         return mine
     here, nearest = samples[y, x], samples[ny, nx]
-    if not mine and not (0 <= y - y0 <= 1 and 0 <= x - x0 <= 1 and here < nearest and differ(here, nearest)):
+    if not mine and not (abs(u - x) <= 1.0 and abs(v - y) <= 1.0 and here < nearest and differ(here, nearest)):
         return False
     surface[1], surface[2] = tilt(samples, y, x, 0, 1), tilt(samples, y, x, 1, 0)
     surface[0] = here + surface[1] * (u - x) + surface[2] * (v - y)
-    return True
+    return surface[0] > LEAST_SHARE * here
 
 
 @kernel
