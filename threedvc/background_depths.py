@@ -29,8 +29,12 @@ __all__ = ["RELIEF_BITS", "DepthChoice", "best_depths", "measured_depths"]
 
 RELIEF_BITS = 3
 """Cells made of a picture cost nothing, so they tell as finely as they can where the surface passes."""
-CELL_PIXELS = 2.0
+CELL_PIXELS, LEAST_CELL_PIXELS = 2.0, 1.0
+REFERENCE_PIXELS = 320 * 240
+"""Cells of smaller pictures are narrower: they are few, and a pixel shows more."""
+LEAST_CELL_M = 1e-4
 MARGIN_PX = 2
+BESIDE = np.float32(1e-4)
 OUTLIER = 0.02
 SLOPE_PX = 8
 LEVELS = 5
@@ -68,7 +72,7 @@ class DepthChoice:
 
 
 def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_]]]) -> Floats:
-    """Average the inverse depths that frames measure away from objects.
+    """Average the inverse depths that frames measure of what is no object.
 
     Parameters
     ----------
@@ -80,17 +84,17 @@ def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_
     (h, w) float64 in 1/m; 0 where no frame tells.
     """
     seen = [_seen(depth, hidden) for depth, hidden in frames]
-    middle = np.zeros_like(seen[0], dtype=np.float64)
+    middle = np.zeros_like(seen[0][0], dtype=np.float64)
     for again in (False, True):
         total, weight = np.zeros_like(middle), np.zeros_like(middle)
-        for found in seen:
-            share = (found > 0).astype(np.float64)
+        for found, trust in seen:
+            share = trust.astype(np.float64)
             if again:
                 away = (found - middle) / (OUTLIER * np.maximum(middle, 1e-9))
                 share /= (1 + away**2) ** 2
             total += share * found
             weight += share
-        middle = total / np.maximum(weight, 1e-9)
+        middle = total / np.maximum(weight, 1e-30)
     return np.where(weight > 0, middle, 0.0)
 
 
@@ -103,11 +107,15 @@ def best_depths(measured: Floats, camera: Camera, cost: Callable[[DepthChoice], 
     return best[1] if best[0] < inf else None
 
 
-def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the inverse depths of a frame well away from objects, 0 elsewhere."""
+def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the inverse depths of a frame, 0 where there are none, and how far to trust them.
+
+    Beside objects they count only if nothing better is known.
+    """
     near = cv2.dilate(hidden.astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8))
-    clear = (depth > 0) & (near == 0)
-    return np.where(clear, 1 / np.where(clear, depth, np.float32(1)), np.float32(0))
+    clear = (depth > 0) & ~hidden
+    inverse = np.where(clear, 1 / np.where(clear, depth, np.float32(1)), np.float32(0))
+    return inverse, np.where(near == 0, np.float32(1), BESIDE) * clear
 
 
 def _choices(measured: Floats, camera: Camera) -> Iterator[DepthChoice]:
@@ -115,7 +123,7 @@ def _choices(measured: Floats, camera: Camera) -> Iterator[DepthChoice]:
     known = measured[measured > 0]
     middle = float(np.median(known))
     scale_bits = int(np.floor(np.log2(MAX_SAMPLE / 8 / known.max())))
-    size = max(round(CELL_PIXELS / (middle * camera.fx), 4), 1e-4)
+    size = max(round(_cell_pixels(camera) / (middle * camera.fx), 4), LEAST_CELL_M)
     for spacing in SPACINGS:
         rows, columns = grid_shape(camera.width, camera.height, spacing)
         if not 0 <= scale_bits <= 40 or rows * columns > MOST_TRIED:
@@ -126,6 +134,12 @@ def _choices(measured: Floats, camera: Camera) -> Iterator[DepthChoice]:
             units = max(1, round(step * middle * 2.0**scale_bits))
             steps = DepthSteps(step=units, levels=LEVELS, halvings=halvings, dead_zone=dead_zone)
             yield DepthChoice(payload=encode_depths(picture, steps)[0], voxel_size_m=size)
+
+
+def _cell_pixels(camera: Camera) -> float:
+    """Return how many pixels a cell at the middle inverse depth covers."""
+    share = camera.width * camera.height / REFERENCE_PIXELS
+    return float(np.clip(CELL_PIXELS * np.sqrt(share), LEAST_CELL_PIXELS, CELL_PIXELS))
 
 
 def _sampled(measured: Floats, spacing: int) -> Floats:

@@ -12,10 +12,22 @@ from reference_depths import DepthLayer, DepthWriter
 from threedvc.background_depths import DepthChoice, best_depths, measured_depths
 from threedvc.camera import Camera, CameraRig
 from threedvc.coding.depth_picture import DepthPicture, DepthSteps, decode_depths, encode_depths, grid_shape
+from threedvc.coding.poses import PoseCoder
 from threedvc.config import RenderConfig
+from threedvc.decoder import Decoder, models_digest
 from threedvc.depth_cells import spread
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.object_model import DecodedModel
+from threedvc.packets import (
+    BatchHeader,
+    DepthHeader,
+    EndHeader,
+    ObjectHeader,
+    Packet,
+    PoseHeader,
+    StreamHeader,
+    pack_batch,
+)
 from threedvc.pose import Pose, identity, make_pose, rotation_from_vector
 from threedvc.rendering import Renderer, RenderModel
 
@@ -187,6 +199,41 @@ def test_a_picture_is_for_an_object_without_cells() -> None:
         spread(wanted, model, CAMERA, identity())
     with pytest.raises(CorruptStream, match="relief"):
         spread(wanted, DecodedModel(0.2), CAMERA, identity())
+
+
+def stream_of(members: list[Packet], model: DecodedModel) -> list[Packet]:
+    record = (CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 0, 0, 0, 0, 0)
+    stream = StreamHeader(
+        color_camera=record, depth_scale=1000, period_num=10**8, translation_step_m=0.001, rotation_step_rad=0.001
+    )
+    end = EndHeader(frames=1, digest=models_digest({0: model}))
+    return [stream.packet(), pack_batch(BatchHeader(frame=0, count=1), members), end.packet()]
+
+
+def test_a_decoder_looks_from_where_the_camera_stands() -> None:
+    coder = PoseCoder(0.001, 0.001)
+    payload, _ = encode_depths(picture(corner(), 2), STEPS)
+    members = [
+        ObjectHeader(object_id=0, voxel_size_m=0.08, relief_bits=3).packet(),
+        PoseHeader(frame=0).packet(coder.encode([TILTED])),
+        DepthHeader(frame=0).packet(payload),
+    ]
+    decoded = decode_depths(payload, CAMERA.width, CAMERA.height)
+    decoder = Decoder()
+    states = list(decoder.frames(stream_of(members, layer(decoded, 0.08, coder.decoded[0]))))
+    assert decoder.complete
+    assert (drawn(decoder.models[0], states[0].T_camera_object[0]) > 0).all()
+
+
+@pytest.mark.parametrize(("relief", "count", "message"), [(0, 1, "relief"), (3, 2, "already")])
+def test_a_decoder_refuses_a_picture_that_does_not_fit(relief: int, count: int, message: str) -> None:
+    payload, _ = encode_depths(picture(corner(), 4), STEPS)
+    introduction = ObjectHeader(object_id=0, voxel_size_m=0.2, relief_bits=relief).packet()
+    members = [introduction, *[DepthHeader(frame=0).packet(payload)] * count]
+    with pytest.raises(CorruptStream, match=message):
+        list(Decoder().frames(stream_of(members, DecodedModel(0.2))))
+    with pytest.raises(CorruptStream, match="not introduced"):
+        list(Decoder().frames(stream_of(members[1:], DecodedModel(0.2))))
 
 
 def test_depths_are_averaged_beside_objects(rng: np.random.Generator) -> None:
