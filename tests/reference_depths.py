@@ -198,4 +198,5 @@ class DepthLayer:
         turned = self.pose[:3, :3].T @ normal
         axis = int(np.argmax(np.abs(turned)))
         height = (1 - point[2] * w) / (turned[axis] * self.size) + 0.5
-        return 1 + 8 * axis + math.floor(height * levels) if 0 <= height < 1 else 0
+        level = min(max(math.floor(height * levels), 0), levels - 1)
+        return 1 + 8 * axis + level if -1 / 8 <= height < 9 / 8 else 0

@@ -24,8 +24,10 @@ NEAR = 7
 """Samples that differ by less than a part of this many may belong to the surface around a sample."""
 LEAST_SHARE = 0.5
 """A surface that goes on from a sample ends where its inverse depth is this share of the sample's."""
-REACH_CELLS = 0.51
-"""A cell's centre is within half a cell of the surface along some axis."""
+OVERLAP = 0.125
+"""How far, in cells, the surface may pass beside a cell that counts; without it there are pinholes in creases."""
+REACH_CELLS = 0.51 + OVERLAP
+"""A cell's centre is within this of the surface along some axis."""
 PLACE_LIMIT = float(1 << 24)
 FAR_DEPTH = 1e30
 
@@ -234,9 +236,9 @@ def relief_at(view: DepthView, y: int, x: int, cell: NDArray[np.int64], surface:
         if abs(across) > abs(most):
             axis, most = k, across
     height = (1.0 - pz * w) / (most * h) + 0.5
-    if not 0.0 <= height < 1.0:
+    if not -OVERLAP <= height < 1.0 + OVERLAP:
         return 0
-    return 1 + 8 * axis + min(np.int64(np.floor(height * view.levels)), view.levels - 1)
+    return 1 + 8 * axis + min(max(np.int64(np.floor(height * view.levels)), 0), view.levels - 1)
 
 
 @kernel
