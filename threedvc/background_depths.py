@@ -98,11 +98,16 @@ def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_
     return np.where(weight > 0, middle, 0.0)
 
 
-def best_depths(measured: Floats, camera: Camera, cost: Callable[[DepthChoice], float]) -> DepthChoice | None:
-    """Return that coding of inverse depths (h, w) that costs least, of some tried; None if all cost infinitely much."""
+def best_depths(
+    measured: Floats, camera: Camera, cost: Callable[[DepthChoice], float], voxel_size_m: float | None = None
+) -> DepthChoice | None:
+    """Return that coding of inverse depths (h, w) that costs least, of some tried; None if all cost infinitely much.
+
+    Without `voxel_size_m` cells are as narrow as the picture deserves.
+    """
     if camera.distorted or not measured.any():
         return None
-    tried = [(cost(choice), choice) for choice in _choices(measured, camera)]
+    tried = [(cost(choice), choice) for choice in _choices(measured, camera, voxel_size_m)]
     best = min(tried, key=lambda each: each[0], default=(inf, None))
     return best[1] if best[0] < inf else None
 
@@ -118,12 +123,12 @@ def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> tuple[NDArra
     return inverse, np.where(near == 0, np.float32(1), BESIDE) * clear
 
 
-def _choices(measured: Floats, camera: Camera) -> Iterator[DepthChoice]:
+def _choices(measured: Floats, camera: Camera, voxel_size_m: float | None) -> Iterator[DepthChoice]:
     """Yield codings to be tried."""
     known = measured[measured > 0]
     middle = float(np.median(known))
     scale_bits = int(np.floor(np.log2(MAX_SAMPLE / 8 / known.max())))
-    size = max(round(_cell_pixels(camera) / (middle * camera.fx), 4), LEAST_CELL_M)
+    size = voxel_size_m or max(round(_cell_pixels(camera) / (middle * camera.fx), 4), LEAST_CELL_M)
     for spacing in SPACINGS:
         rows, columns = grid_shape(camera.width, camera.height, spacing)
         if not 0 <= scale_bits <= 40 or rows * columns > MOST_TRIED:

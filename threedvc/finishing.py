@@ -385,7 +385,7 @@ class _Fit:
                 return inf
             return GEOMETRY_SHARE * len(choice.payload) / size + DEPTH_SHARE * float(np.log(found + 1e-4))
 
-        return best_depths(measured_depths(seen), scene.info.rig.depth, cost)
+        return best_depths(measured_depths(seen), scene.info.rig.depth, cost, scene.config.voxel_size_m)
 
     def _background_bytes(self) -> int:
         """Return how many bytes the cells of the background take without colours."""
