@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import product
 from math import inf
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from threedvc.camera import Camera
 from threedvc.coding.depth_picture import (
     MAX_SAMPLE,
+    MAX_SCALE_BITS,
+    MAX_SPACING,
     DepthPicture,
     DepthSteps,
     decode_depths,
@@ -38,13 +41,13 @@ BESIDE = np.float32(1e-4)
 OUTLIER = 0.02
 SLOPE_PX = 8
 LEVELS = 5
-SPACINGS = (4, 2, 1)
-MOST_TRIED = 80_000
-"""Finer grids than of this many samples are not tried."""
+MOST_TRIED = 140_000
+"""How many samples a grid may have that is tried."""
 STEPS = (0.016, 0.008)
 """Quantisation steps as shares of the median inverse depth."""
 HALVINGS = (1, 2)
-DEAD_ZONES = (160, 224)
+DEAD_ZONE, DEAD_ZONES = 192, (160, 224)
+HEADROOM = 8
 
 Floats = NDArray[np.float64]
 
@@ -107,9 +110,32 @@ def best_depths(
     """
     if camera.distorted or not measured.any():
         return None
-    tried = [(cost(choice), choice) for choice in _choices(measured, camera, voxel_size_m)]
-    best = min(tried, key=lambda each: each[0], default=(inf, None))
-    return best[1] if best[0] < inf else None
+    middle, scale_bits = float(np.median(measured[measured > 0])), _scale_bits(measured)
+    size = voxel_size_m or max(round(_cell_pixels(camera) / (middle * camera.fx), 4), LEAST_CELL_M)
+
+    def tried(settings: _Settings) -> tuple[float, DepthChoice]:
+        units = max(1, round(settings.step * middle * 2.0**scale_bits))
+        steps = DepthSteps(step=units, levels=LEVELS, halvings=settings.halvings, dead_zone=settings.dead_zone)
+        payload, _ = encode_depths(_picture(measured, settings.spacing, scale_bits), steps)
+        choice = DepthChoice(payload=payload, voxel_size_m=size)
+        return cost(choice), choice
+
+    usual = [_Settings(*each, DEAD_ZONE) for each in product(_spacings(camera), STEPS, HALVINGS)]
+    tries = {settings: tried(settings) for settings in usual}
+    best = min(tries, key=lambda each: tries[each][0])
+    others = [best._replace(dead_zone=zone) for zone in DEAD_ZONES]
+    tries |= {settings: tried(settings) for settings in others}
+    least, choice = min(tries.values(), key=lambda each: each[0])
+    return choice if least < inf else None
+
+
+class _Settings(NamedTuple):
+    """What is tried: pixels between samples, quantisation step as a share of the middle, and see `DepthSteps`."""
+
+    spacing: int
+    step: float
+    halvings: int
+    dead_zone: int
 
 
 def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -123,22 +149,22 @@ def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> tuple[NDArra
     return inverse, np.where(near == 0, np.float32(1), BESIDE) * clear
 
 
-def _choices(measured: Floats, camera: Camera, voxel_size_m: float | None) -> Iterator[DepthChoice]:
-    """Yield codings to be tried."""
-    known = measured[measured > 0]
-    middle = float(np.median(known))
-    scale_bits = int(np.floor(np.log2(MAX_SAMPLE / 8 / known.max())))
-    size = voxel_size_m or max(round(_cell_pixels(camera) / (middle * camera.fx), 4), LEAST_CELL_M)
-    for spacing in SPACINGS:
-        rows, columns = grid_shape(camera.width, camera.height, spacing)
-        if not 0 <= scale_bits <= 40 or rows * columns > MOST_TRIED:
-            continue
-        samples = np.rint(_sampled(measured, spacing) * 2.0**scale_bits).astype(np.int64)
-        picture = DepthPicture(samples=np.clip(samples, 0, MAX_SAMPLE), spacing=spacing, scale_bits=scale_bits)
-        for step, halvings, dead_zone in product(STEPS, HALVINGS, DEAD_ZONES):
-            units = max(1, round(step * middle * 2.0**scale_bits))
-            steps = DepthSteps(step=units, levels=LEVELS, halvings=halvings, dead_zone=dead_zone)
-            yield DepthChoice(payload=encode_depths(picture, steps)[0], voxel_size_m=size)
+def _scale_bits(measured: Floats) -> int:
+    """Return the finest scale at which inverse depths are well below the greatest sample."""
+    return int(np.clip(np.floor(np.log2(MAX_SAMPLE / HEADROOM / measured.max())), 0, MAX_SCALE_BITS))
+
+
+def _spacings(camera: Camera) -> list[int]:
+    """Return the grids that are worth trying: the finest without too many samples, and wider ones."""
+    spacing = 1
+    while np.prod(grid_shape(camera.width, camera.height, spacing)) > MOST_TRIED and spacing < MAX_SPACING:
+        spacing *= 2
+    return [spacing * wider for wider in (1, 2, 4) if spacing * wider <= MAX_SPACING]
+
+
+def _picture(measured: Floats, spacing: int, scale_bits: int) -> DepthPicture:
+    samples = np.rint(_sampled(measured, spacing) * 2.0**scale_bits).astype(np.int64)
+    return DepthPicture(samples=np.clip(samples, 0, MAX_SAMPLE), spacing=spacing, scale_bits=scale_bits)
 
 
 def _cell_pixels(camera: Camera) -> float:

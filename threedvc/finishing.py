@@ -375,13 +375,15 @@ class _Fit:
         misfit, beyond = views.misfit(self.colors.models[0])
 
         def cost(choice: DepthChoice) -> float:
+            if len(choice.payload) >= size:
+                return inf
             try:
                 model = RenderModel(choice.model(scene.info.rig.depth, scene.objects[0].poses[0]))
             except FormatError:
                 return inf
             model.refresh(self._threads)
             found, wrong = views.misfit(model)
-            if len(choice.payload) >= size or found > MISFIT_TOLERANCE * misfit or wrong > beyond + WRONG_TOLERANCE:
+            if found > MISFIT_TOLERANCE * misfit or wrong > beyond + WRONG_TOLERANCE:
                 return inf
             return GEOMETRY_SHARE * len(choice.payload) / size + DEPTH_SHARE * float(np.log(found + 1e-4))
 

@@ -16,6 +16,8 @@ from threedvc.limits import MAX_DEPTH_SAMPLES
 
 __all__ = [
     "MAX_SAMPLE",
+    "MAX_SCALE_BITS",
+    "MAX_SPACING",
     "DepthPicture",
     "DepthSteps",
     "decode_depths",
