@@ -43,9 +43,9 @@ SLOPE_PX = 8
 LEVELS = 5
 MOST_TRIED = 140_000
 """How many samples a grid may have that is tried."""
-STEPS = (0.016, 0.008)
+STEPS = (0.024, 0.012)
 """Quantisation steps as shares of the median inverse depth."""
-HALVINGS = (1, 2)
+HALVINGS = (2, 4)
 DEAD_ZONE, DEAD_ZONES = 192, (160, 224)
 HEADROOM = 8
 
