@@ -11,6 +11,7 @@ from threedvc.formats.container import FILE_HEAD_BYTES, Record
 from threedvc.packets import (
     BatchHeader,
     ClockHeader,
+    DepthHeader,
     Header,
     ModelHeader,
     ObjectHeader,
@@ -22,7 +23,7 @@ from threedvc.packets import (
 __all__ = ["PacketTotal", "Tally"]
 
 HEADERS: dict[int, type[Header]] = {
-    kind.packet_type: kind for kind in (BatchHeader, ClockHeader, ModelHeader, ObjectHeader, PoseHeader)
+    kind.packet_type: kind for kind in (BatchHeader, ClockHeader, DepthHeader, ModelHeader, ObjectHeader, PoseHeader)
 }
 
 
@@ -77,6 +78,8 @@ class Tally:
         self._shares.append(self._share(header, part.size))
         if isinstance(header, ObjectHeader | ModelHeader | PoseHeader):
             self.object_bytes[header.object_id] += part.size
+        if isinstance(header, DepthHeader):
+            self.object_bytes[0] += part.size
         if isinstance(header, PoseHeader):
             self.poses[header.object_id] += header.count
 
@@ -105,7 +108,7 @@ class Tally:
     def _share(self, header: Header | None, size: int) -> _Share:
         if isinstance(header, BatchHeader | ClockHeader | PoseHeader):
             return _Share(header.frame, header.count, size)
-        if isinstance(header, ModelHeader):
+        if isinstance(header, ModelHeader | DepthHeader):
             return _Share(header.frame, 1, size)
         # A packet that names no frame serves those of the packet before it.
         return replace(self._shares[-1], size=size)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import Camera, CameraRig
+from threedvc.coding.depth_picture import decode_depths
 from threedvc.coding.filters import decode_filter
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.light import unpack_light
@@ -23,6 +24,7 @@ from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
+from threedvc.depth_cells import spread
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
 from threedvc.limits import MAX_COUNT
 from threedvc.object_model import DecodedModel
@@ -30,6 +32,7 @@ from threedvc.packets import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
+    DepthHeader,
     EndHeader,
     FilterHeader,
     GainHeader,
@@ -67,6 +70,7 @@ IN_BATCHES = frozenset(
         PacketType.SHIFT,
         PacketType.GAIN,
         PacketType.BACKDROP,
+        PacketType.DEPTH,
         PacketType.FILTER,
         PacketType.LIGHT,
         PacketType.CLOCK,
@@ -293,6 +297,9 @@ class Decoder:
         elif packet.type == PacketType.BACKDROP:
             frame = BackdropHeader.from_map(packet.header).frame
             yield frame, lambda: self._hang(packet.payload)
+        elif packet.type == PacketType.DEPTH:
+            self._known(0)
+            yield DepthHeader.from_map(packet.header).frame, lambda: self._spread(packet.payload)
         elif packet.type == PacketType.FILTER:
             assert self.header is not None
             filters = decode_filter(packet.payload, self.header.grey)
@@ -335,6 +342,12 @@ class Decoder:
         if not len(model.untold_cells()[0]):
             raise CorruptStream(f"a RELIEF of object {number} comes when all its cells have one")
         decode_relief(payload, model)
+
+    def _spread(self, payload: bytes) -> None:
+        """Make cells of a depth picture, as seen from where the packets before it have placed the camera."""
+        assert self.header is not None
+        camera = rig_of(self.header).depth
+        spread(decode_depths(payload, camera.width, camera.height), self._known(0), camera, self._scripts[0])
 
     def _paint(self, number: int, payload: bytes) -> None:
         model = self._known(number)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from threedvc.background_depths import RELIEF_BITS, DepthChoice
 from threedvc.camera import Camera
 from threedvc.coding.filters import encode_filter
 from threedvc.coding.gains import GainCoder
@@ -36,6 +37,7 @@ from threedvc.packets import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
+    DepthHeader,
     EndHeader,
     FilterHeader,
     GainHeader,
@@ -100,11 +102,9 @@ def pose_steps(scene: Scene, config: PoseConfig) -> PoseSteps:
 class _Sent:
     """What the decoder has of one object, and what it would have if colours were not quantised."""
 
-    def __init__(
-        self, item: SceneObject, steps: PoseSteps, texture_scale: int, relief_bits: int, *, guessed: bool
-    ) -> None:
+    def __init__(self, item: SceneObject, model: DecodedModel, steps: PoseSteps) -> None:
         self.item = item
-        self.model = DecodedModel(item.evidence.voxel_size_m, texture_scale, guessed=guessed, relief_bits=relief_bits)
+        self.model = model
         self.wanted = DecodedModel(item.evidence.voxel_size_m)
         self.coder = PoseCoder(*steps)
         self.given: Pose | None = None
@@ -167,6 +167,9 @@ class Emitter:
             self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
             self._bucket.take(stream_bytes([self.stream()]))
         self._backdrop = self._worthwhile_backdrop(picture_step or config.color.luma_step)
+        self._depths: DepthChoice | None = None
+        if self._backdrop is not None and finished is not None:
+            self._depths = finished.depths
 
     @property
     def digest(self) -> bytes:
@@ -224,7 +227,8 @@ class Emitter:
         for entry in entries:
             update = list(self._model(entry.sent, first, None if last else stop, room, last))
             room -= _packed_bytes(update)
-            members += [*entry.introduction, *update, *entry.poses]
+            # What a picture shows depends on where the camera stands, so poses come first.
+            members += [*entry.introduction, *entry.poses, *update]
         members += around
         if not members and not (last and told) and stop - self._batched <= self._rest:
             return None
@@ -264,17 +268,15 @@ class Emitter:
         if number not in self._sent:
             if item.born is None or item.born >= stop:
                 return None
-            plain = self._finished is None or guessed
-            scale = 1 if plain else self._config.appearance.texture_scale
-            relief_bits = 0 if plain else self._config.appearance.relief_bits or 0
-            self._sent[number] = _Sent(item, self._steps, scale, relief_bits, guessed=guessed)
+            model = self._new_model(item, guessed)
+            self._sent[number] = _Sent(item, model, self._steps)
             introduction.append(
                 ObjectHeader(
                     object_id=number,
-                    voxel_size_m=item.evidence.voxel_size_m,
-                    texture_bits=scale.bit_length() - 1,
+                    voxel_size_m=model.voxel_size_m,
+                    texture_bits=0 if model.texture is None else model.texture.scale.bit_length() - 1,
                     guessed=guessed,
-                    relief_bits=relief_bits,
+                    relief_bits=model.relief_bits,
                 ).packet()
             )
             if self._finished is not None and number in self._finished.colors.lights:
@@ -283,8 +285,22 @@ class Emitter:
         sent = self._sent[number]
         return _Entry(sent, introduction, list(self._poses(sent, first, stop)))
 
+    def _new_model(self, item: SceneObject, guessed: bool) -> DecodedModel:
+        """Return the model of an object of which nothing has been sent."""
+        if item.number == 0 and self._depths is not None:
+            return DecodedModel(self._depths.voxel_size_m, relief_bits=RELIEF_BITS)
+        plain, appearance = self._finished is None or guessed, self._config.appearance
+        scale, relief_bits = (1, 0) if plain else (appearance.texture_scale, appearance.relief_bits or 0)
+        return DecodedModel(item.evidence.voxel_size_m, scale, guessed=guessed, relief_bits=relief_bits)
+
     def _model(self, sent: _Sent, frame: int, until_frame: int | None, room: float, last: bool) -> Iterator[Packet]:
-        """Yield the model update of an object and the texture of its new cells."""
+        """Yield the model update of an object and the texture of its new cells, or the picture that makes cells."""
+        if sent.item.number == 0 and self._depths is not None:
+            if not sent.model.cell_count:
+                poses = sent.coder.decoded
+                sent.model = self._depths.model(self._info.rig.depth, poses[0] if len(poses) else identity())
+                yield DepthHeader(frame=frame).packet(self._depths.payload)
+            return
         update = self._update(sent, until_frame)
         if update.size < (MIN_LIVE_CELLS if self._config.causal and not last else 1):
             return
@@ -350,7 +366,10 @@ class Emitter:
         threads, item = self._config.threads, self._scene.objects[0]
         surface = self._finished.surfaces[0]
         size, decoded = self._size_of(surface)
-        flat_size, _ = self._size_of(replace(surface, colors=np.zeros_like(surface.colors)))
+        if self._finished.depths is not None:
+            flat_size = len(self._finished.depths.payload)
+        else:
+            flat_size, _ = self._size_of(replace(surface, colors=np.zeros_like(surface.colors)))
         model = RenderModel(decoded)
         model.refresh(threads)
         renderer = Renderer(self._info.rig, RenderConfig(supersample=1, threads=threads))

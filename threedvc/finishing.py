@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,10 @@ from threedvc.appearance import (
     shown_shares,
 )
 from threedvc.backdrop import PictureChoice, background_picture
+from threedvc.background_depths import DepthChoice, best_depths, measured_depths
 from threedvc.coding.gains import NEUTRAL, apply_gain
-from threedvc.config import RenderConfig, with_step
+from threedvc.config import ColorConfig, RenderConfig, with_step
+from threedvc.errors import FormatError
 from threedvc.evidence_view import Thinned
 from threedvc.frame import Frame, FrameSequence
 from threedvc.guesswork import Guess, guess_surfaces
@@ -39,8 +42,9 @@ from threedvc.pose import Pose, identity, inverse
 from threedvc.rate_control import error_at
 from threedvc.readout import REGION_SHIFT, Surface, read_surface
 from threedvc.refinement import mean_misfit, misfit_frames
-from threedvc.rendering import Renderer
+from threedvc.rendering import Renderer, RenderModel
 from threedvc.scene import Scene, SceneObject
+from threedvc.segmentation import segment
 from threedvc.trials import color_settings, one_shot
 
 __all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
@@ -64,6 +68,11 @@ WORTHWHILE_ALIGNMENT = 0.02
 BACKDROP_FRAMES = 80
 GUESS_FRAMES = 60
 MIN_GUESSED_CELLS = 32
+GEOMETRY_SHARE = 0.1
+"""What the cells of a background at rest take of a usual stream, once a picture colours them."""
+MISFIT_TOLERANCE = 1.005
+WRONG, WRONG_TOLERANCE = 0.01, 0.0003
+NOWHERE = np.float32(1e6)
 MAX_LABEL = 255
 
 
@@ -84,6 +93,8 @@ class Finish:
         T_shifted_camera of every frame: how the camera moved between depth and colour picture.
     backdrop
         The picture of a background at rest before a camera at rest, or None.
+    depths
+        The depth picture of such a background, if it takes less than its cells do and is no worse; or None.
     guess
         Number of the object of guessed cells, and their edge in metres; None where little depth is missing.
     pixels_per_cell
@@ -96,6 +107,7 @@ class Finish:
     gains: NDArray[np.int64]
     shifts: list[Pose]
     backdrop: PictureChoice | None
+    depths: DepthChoice | None
     guess: tuple[int, float] | None
     pixels_per_cell: float
 
@@ -143,6 +155,7 @@ def finish(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = 
         gains=gains,
         shifts=fit.shifts,
         backdrop=backdrop,
+        depths=fit.depth_picture(),
         guess=(fit.guess[0], fit.guess[1].voxel_size_m) if fit.guess is not None else None,
         pixels_per_cell=fit.pixels_per_cell(backdrop is not None),
     )
@@ -346,6 +359,52 @@ class _Fit:
         seen = ((scene.limited(self._frames[index]), self._poses(index), *apply_gain(gains[index])) for index in chosen)
         return PictureChoice(background_picture(scene.info.rig, seen, self.colors, self._threads), self._grey)
 
+    def depth_picture(self) -> DepthChoice | None:
+        """Return the depth picture of the background if it and the camera are at rest, and if it is worth it.
+
+        It must take fewer bytes than the background's cells and meet the measurements no worse. Bytes are weighed
+        as the share that they have of a usual stream.
+        """
+        scene = self._scene
+        if not scene.at_rest(0) or not len(self._surfaces[0].cells):
+            return None
+        chosen = range(0, len(self._frames), -(-len(self._frames) // BACKDROP_FRAMES))
+        limited = (scene.limited(self._frames[index]) for index in chosen)
+        seen = ((frame.depth, segment(frame, scene.config.segmentation, scene.info) > 0) for frame in limited)
+        size, views = self._background_bytes(), self._background_views()
+        misfit, beyond = views.misfit(self.colors.models[0])
+
+        def cost(choice: DepthChoice) -> float:
+            if len(choice.payload) >= size:
+                return inf
+            try:
+                model = RenderModel(choice.model(scene.info.rig.depth, scene.objects[0].poses[0]))
+            except FormatError:
+                return inf
+            model.refresh(self._threads)
+            found, wrong = views.misfit(model)
+            if found > MISFIT_TOLERANCE * misfit or wrong > beyond + WRONG_TOLERANCE:
+                return inf
+            return GEOMETRY_SHARE * len(choice.payload) / size + DEPTH_SHARE * float(np.log(found + 1e-4))
+
+        return best_depths(measured_depths(seen), scene.info.rig.depth, cost, scene.config.voxel_size_m)
+
+    def _background_bytes(self) -> int:
+        """Return how many bytes the cells of the background take without colours."""
+        surface, model = self._surfaces[0], self.colors.models[0].model
+        flat = replace(surface, colors=np.zeros_like(surface.colors))
+        return one_shot(flat, model.voxel_size_m, model.relief_bits, color_settings(ColorConfig(), self._grey))[0]
+
+    def _background_views(self) -> _BackgroundViews:
+        """Return what frames measure where no object is drawn."""
+        thinned, renderer = self._thinned_views()
+        measured = []
+        for index in misfit_frames(self._frames):
+            _, labels = renderer.cast(thinned.grid, self.colors.models, self._poses(index))
+            depth = thinned.thin(self._scene.limited(self._frames[index]).depth).reshape(-1)
+            measured.append(np.where(labels == 0, depth, np.float32(0)))
+        return _BackgroundViews(thinned, renderer, self._scene.objects[0].poses[0], measured)
+
     def pixels_per_cell(self, without_background: bool) -> float:
         """Return how many pixels of a frame show a cell, on an average over all frames."""
         chosen = [number for number in self._surfaces if number or not without_background] or [0]
@@ -399,6 +458,24 @@ class _Fit:
         if self.guess is not None and 0 in poses:
             poses[self.guess[0]] = poses[0]
         return poses
+
+
+class _BackgroundViews:
+    """What frames measure of a background at rest, to be held against what is drawn of it."""
+
+    def __init__(self, thinned: Thinned, renderer: Renderer, pose: Pose, measured: list[Floats]) -> None:
+        self._thinned, self._renderer, self._pose, self._measured = thinned, renderer, pose, measured
+
+    def misfit(self, model: RenderModel) -> tuple[float, float]:
+        """Return the `mean_misfit`, and the share of measurements that are more than `WRONG` off.
+
+        What is measured and not drawn counts as quite wrong.
+        """
+        depth, _ = self._renderer.cast(self._thinned.grid, {0: model}, {0: self._pose})
+        drawn = np.where(depth > 0, depth, NOWHERE)
+        wrong = sum(np.count_nonzero((np.abs(drawn - each) > WRONG * each) & (each > 0)) for each in self._measured)
+        count = sum(map(np.count_nonzero, self._measured))
+        return mean_misfit((drawn, each) for each in self._measured), wrong / max(count, 1)
 
 
 def _turns(scene: Scene, item: SceneObject) -> bool:

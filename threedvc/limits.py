@@ -13,6 +13,7 @@ from typing import Final
 __all__ = [
     "MAX_BATCH_PACKETS",
     "MAX_COUNT",
+    "MAX_DEPTH_SAMPLES",
     "MAX_EXPANSION",
     "MAX_FRAME",
     "MAX_HEADER_BYTES",
@@ -60,3 +61,6 @@ MAX_RELIEF_BITS: Final = 3
 
 MAX_TEXTURE_BITS: Final = 2
 """Binary logarithm of the number of texels along an edge of a cell."""
+
+MAX_DEPTH_SAMPLES: Final = 1 << 20
+"""Samples of a depth picture."""

@@ -36,6 +36,7 @@ __all__ = [
     "BackdropHeader",
     "BatchHeader",
     "ClockHeader",
+    "DepthHeader",
     "EndHeader",
     "FilterHeader",
     "GainHeader",
@@ -93,6 +94,7 @@ class PacketType(IntEnum):
     LIGHT = 17
     RELIEF = 18
     FILTER = 19
+    DEPTH = 20
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
@@ -359,6 +361,15 @@ class BackdropHeader(Header):
     """A picture that colours the background, as the colour camera of `frame` sees it, from that frame on."""
 
     packet_type: ClassVar[PacketType] = PacketType.BACKDROP
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthHeader(Header):
+    """A picture that gives the background its cells, as the depth camera of `frame` sees it."""
+
+    packet_type: ClassVar[PacketType] = PacketType.DEPTH
 
     frame: int = key("f", integer(0, MAX_FRAME))
 

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from threedvc.camera import Camera
 from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update, morton_order
+from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths
 from threedvc.coding.filters import MAX_FACTOR, decode_filter
 from threedvc.coding.relief import decode_relief, encode_relief
+from threedvc.depth_cells import spread
 from threedvc.errors import FormatError
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
+from threedvc.pose import identity
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)
@@ -118,6 +122,53 @@ def test_changed_byte_of_a_relief(position: int, change: int) -> None:
 @given(st.integers(0, len(RELIEF) - 1))
 def test_cut_relief(length: int) -> None:
     shape_lawfully(RELIEF[:length])
+
+
+SMALL = Camera(width=20, height=15, fx=20.0, fy=20.0, cx=9.5, cy=7.0)
+
+
+def depth_payload() -> bytes:
+    """Return the payload of a bent wall with a hole."""
+    x, y = np.meshgrid(np.arange(20), np.arange(15))
+    samples = 3000 + 40 * x + np.where(x > 9, 25 * y, 900)
+    samples[3:7, 4:8] = 0
+    steps = DepthSteps(step=20, levels=3, halvings=1)
+    return encode_depths(DepthPicture(samples=samples, spacing=1, scale_bits=12), steps)[0]
+
+
+DEPTHS = depth_payload()
+
+
+def spread_lawfully(payload: bytes) -> None:
+    """Decode a depth picture and make cells of it; either a FormatError is raised, or each has a relief."""
+    model = DecodedModel(0.1, relief_bits=3)
+    try:
+        picture = decode_depths(payload, SMALL.width, SMALL.height)
+        assert np.all((picture.samples >= 0) & (picture.samples <= MAX_SAMPLE))
+        spread(picture, model, SMALL, identity())
+    except FormatError:
+        return
+    assert not len(model.untold_cells()[0])
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=100))
+def test_random_depths(payload: bytes) -> None:
+    spread_lawfully(payload)
+
+
+@settings(deadline=None)
+@given(st.integers(0, len(DEPTHS) - 1), st.integers(1, 255))
+def test_changed_byte_of_depths(position: int, change: int) -> None:
+    damaged = bytearray(DEPTHS)
+    damaged[position] ^= change
+    spread_lawfully(bytes(damaged))
+
+
+@settings(deadline=None)
+@given(st.integers(0, len(DEPTHS) - 1))
+def test_cut_depths(length: int) -> None:
+    spread_lawfully(DEPTHS[:length])
 
 
 @given(st.binary(max_size=120), st.booleans())

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update_with_result, morton_order
+from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths, grid_shape
 from threedvc.model_update import ModelUpdate
 from threedvc.pose import make_pose, rotation_from_vector
 
@@ -105,3 +106,24 @@ def test_pose_round_trip(numbers: list[tuple[float, ...]], repeat: list[bool], g
         for given_pose, seen in zip(part, decoded, strict=True):
             assert np.abs(given_pose - seen)[:3, 3].max() <= 0.00026
             assert np.abs(given_pose - seen)[:3, :3].max() <= 0.0005
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.tuples(st.integers(1, 60), st.integers(1, 60)),
+    st.integers(1, 7),
+    st.integers(0, 6),
+    st.sampled_from([1, 5, 300, 100_000]),
+)
+def test_depths_pass_through(seed: int, size: tuple[int, int], spacing: int, levels: int, step: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = grid_shape(*size, spacing)
+    samples = rng.integers(0, rng.choice([3, 5000, MAX_SAMPLE + 1]), shape)
+    samples[rng.random(shape) < rng.choice([0, 0.5])] = 0
+    wanted = DepthPicture(samples=samples, spacing=spacing, scale_bits=9)
+    payload, sent = encode_depths(wanted, DepthSteps(step=step, levels=levels, halvings=2, dead_zone=0))
+    got = decode_depths(payload, *size)
+    np.testing.assert_array_equal(got.samples, sent.samples)
+    np.testing.assert_array_equal(got.samples > 0, samples > 0)
+    there = samples > 0
+    assert np.all(np.abs(got.samples - samples)[there] <= step)

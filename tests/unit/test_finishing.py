@@ -112,8 +112,35 @@ def test_a_rate_above_what_there_is_to_send_takes_the_finest_steps() -> None:
     assert psnr(drawn(packets), sequence) > 20
 
 
+@needs_avif
+def test_a_background_at_rest_gets_its_cells_from_a_picture() -> None:
+    sequence = scene("paper")
+    config = replace(FILE, segmentation=THRESHOLD)
+    packets = encoded(sequence, config)
+    pictures = members(packets, PacketType.DEPTH)
+    assert len(pictures) == 1
+    assert {member.header.get("o", 0) for member in members(packets, PacketType.MODEL)} == {1}
+    plain = list(Encoder(sequence.info, config).packets(iter(sequence.frames)))
+    cells = sum(len(each.payload) for each in members(plain, PacketType.MODEL) if not each.header.get("o", 0))
+    assert len(pictures[0].payload) < 0.8 * cells
+    decoder = Decoder()
+    for state in decoder.frames(packets):
+        model = RenderModel(decoder.models[0])
+        model.refresh(2)
+        assert decoder.header is not None
+        renderer = Renderer(rig_of(decoder.header), RenderConfig(threads=2))
+        depth = renderer.draw({0: model}, {0: state.T_camera_object[0]}, color=False).depth
+        frame = sequence.frames[state.index]
+        assert frame.mask is not None
+        wrong = np.abs(depth / np.maximum(frame.depth, 0.1) - 1)[(frame.mask == 0) & (frame.depth > 0)] > 0.01
+        assert wrong.mean() < 0.05
+    assert decoder.complete
+
+
 def test_a_moving_camera_has_no_backdrop() -> None:
-    assert not members(encoded(scene("room"), with_preset(FILE, Preset.FAST)), PacketType.BACKDROP)
+    packets = encoded(scene("room"), with_preset(FILE, Preset.FAST))
+    assert not members(packets, PacketType.BACKDROP)
+    assert not members(packets, PacketType.DEPTH)
 
 
 def test_objects_that_turn_have_a_light() -> None:

@@ -19,7 +19,7 @@ from threedvc.formats import statistics as module
 from threedvc.formats.container import FILE_HEAD_BYTES, Record, StreamReader
 from threedvc.formats.statistics import StreamStatistics, statistics
 from threedvc.formats.tally import Tally
-from threedvc.packets import BatchHeader, ModelHeader, PoseHeader
+from threedvc.packets import BatchHeader, DepthHeader, ModelHeader, PoseHeader
 
 KEYS = {
     "name", "complete", "file_bytes", "frames", "duration_s", "kbit_s", "raw_bytes", "ratio", "packets", "objects",
@@ -75,6 +75,12 @@ class TestTally:
         tally.add(Record(ModelHeader(frame=5).packet(), 0, 100))
         tally.add(Record(PoseHeader(frame=4, count=2).packet(), 0, 7))
         assert tally.frame_bytes(6, FILE_HEAD_BYTES + 137) == [FILE_HEAD_BYTES, 0, 0, 0, 15 + 3, 15 + 100 + 4]
+
+    def test_a_depth_picture_counts_for_the_background(self) -> None:
+        tally = Tally()
+        tally.add(Record(packet=DepthHeader(frame=1).packet(b"abc"), offset=0, size=9))
+        assert tally.object_bytes == {0: 9}
+        assert tally.frame_bytes(3, FILE_HEAD_BYTES + 9) == [FILE_HEAD_BYTES, 9, 0]
 
     def test_bytes_and_poses_by_object(self) -> None:
         tally = self.tally(packed_stream())
