@@ -22,7 +22,7 @@ from threedvc.kernels.hole_filling import pull, push
 from threedvc.kernels.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
 from threedvc.kernels.raycast import OPACITY, cast_rays
 from threedvc.kernels.render_blocks import build_block
-from threedvc.kernels.shading import relight, shade, shade_from_picture
+from threedvc.kernels.shading import relight, round_colors, shade, shade_from_picture
 from threedvc.object_model import DecodedModel, shifted_blocks
 from threedvc.parallel import for_ranges
 from threedvc.picture_filter import PictureFilter, kinds_of_pixels
@@ -409,9 +409,14 @@ class Renderer:
             value = np.asarray(total / np.maximum(weight, np.float32(1)), dtype=np.float32)
             known = (weight[..., 0] > 0).astype(np.uint8)
         fill_unknown(value, known)
-        if gain is not None:
-            value = value * gain[0] + gain[1]
-        return np.asarray(np.clip(value, 0, 255) + np.float32(0.5)).astype(np.uint8)
+        factor, offset = gain or (np.ones(3, np.float32), np.zeros(3, np.float32))
+        picture = np.empty(value.shape, dtype=np.uint8)
+
+        def row_range(start: int, stop: int) -> None:
+            round_colors(start, stop, value, factor, offset, picture)
+
+        for_ranges(row_range, len(value), self.config.threads)
+        return picture
 
 
 def fill_unknown(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:

@@ -14,6 +14,7 @@ from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
 from threedvc.errors import ConfigError
 from threedvc.model_update import ModelUpdate
+from threedvc.kernels.shading import round_colors
 from threedvc.object_model import DecodedModel
 from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.ray_grid import RayGrid
@@ -331,3 +332,14 @@ def test_a_turn_of_everything_turns_the_picture(ball_cells: NDArray[np.int32], w
     assert np.mean(both) > 0.95
     assert np.quantile(np.abs(one.depth - two.depth[::-1, ::-1])[both], 0.97) < 0.3 * CELL
     np.testing.assert_allclose(inverse(upside_down) @ upside_down, np.eye(4), atol=1e-12)
+
+
+def test_colours_are_rounded_after_gain_and_offset() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.uniform(-40, 300, (12, 9, 3)).astype(np.float32)[::2, ::-1]
+    gain, offset = np.array([1, 0.8, 1.3], np.float32), np.array([0, -7.5, 4], np.float32)
+    picture = np.zeros(values.shape, dtype=np.uint8)
+    round_colors(1, 5, values, gain, offset, picture)
+    expected = (np.clip(values * gain + offset, 0, 255) + np.float32(0.5)).astype(np.uint8)
+    np.testing.assert_array_equal(picture[1:5], expected[1:5])
+    assert not picture[[0, 5]].any()

@@ -16,6 +16,7 @@ __all__ = [
     "light_bases",
     "light_basis",
     "relight",
+    "round_colors",
     "shade",
     "shade_from_picture",
 ]
@@ -107,6 +108,16 @@ def shade(start, stop, slopes, depth, labels, label, T_cells_camera, tables, col
         if total > 0.0:
             color[n, 0], color[n, 1], color[n, 2] = red / total, green / total, blue / total
             known[n] = 1
+
+
+@kernel
+def round_colors(start, stop, values, gain, offset, picture):
+    """Write rows ``start..stop`` of values (h, w, 3) float32, times a gain (3,) plus an offset (3,), as uint8."""
+    for y in range(start, stop):
+        for x in range(values.shape[1]):
+            for channel in range(3):
+                value = values[y, x, channel] * gain[channel] + offset[channel]
+                picture[y, x, channel] = np.uint8(min(max(value, np.float32(0)), np.float32(255)) + np.float32(0.5))
 
 
 @kernel
