@@ -13,8 +13,8 @@ from reference_rendering import model_of_cells, model_of_shape, surface_cells
 from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
 from threedvc.errors import ConfigError
-from threedvc.model_update import ModelUpdate
 from threedvc.kernels.shading import round_colors
+from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.ray_grid import RayGrid
