@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threedvc.camera import Camera, CameraRig
+from threedvc.coding.gains import NEUTRAL
 from threedvc.config import EncoderConfig, PoseConfig
 from threedvc.decoder import Decoder, FrameState
 from threedvc.emitter import Emitter
@@ -46,7 +47,8 @@ def scene_of(
         for number, script in scripts.items()
     }
     times = [START_NS + round(frame * 1e9 / 30) for frame in range(frames)] if times is None else times
-    return cast(Scene, SimpleNamespace(distance_m=1.0, info=INFO, objects=objects, timestamps=list(times)))
+    gains = [NEUTRAL] * len(times)
+    return cast(Scene, SimpleNamespace(distance_m=1.0, info=INFO, objects=objects, timestamps=list(times), gains=gains))
 
 
 def emitted(scene: Scene, group: int = 10, config: EncoderConfig | None = None) -> list[Packet]:
