@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL, apply_gain, quantised_gain
-from threedvc.coding.light import pack_light, unpack_light
 from threedvc.coding.relief import encode_relief
 from threedvc.config import RenderConfig
 from threedvc.frame import Frame
@@ -31,7 +30,8 @@ from threedvc.kernels.appearance import (
     gather_neighbours,
     scatter_colors,
 )
-from threedvc.kernels.shading import LEAST_LIGHT, LIGHT_TERMS, find_normals, light_bases
+from threedvc.kernels.shading import LEAST_LIGHT, find_normals
+from threedvc.lighting import LightEquations, LightScript, light_at, light_script, light_terms
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
 from threedvc.parallel import for_ranges
@@ -80,7 +80,6 @@ CONVERGED = 1e-4
 MIN_POINTS = 100
 GAIN_SHRINK = 4.0
 OUTLIER_LEVELS = 50.0
-LIGHT_PRIOR = 1e5
 
 
 class ColorField:
@@ -108,7 +107,7 @@ class ColorField:
     values
         (n, 3) float32 RGB of the numbered cells; first the mean colours of the surfaces.
     lights
-        (8,) factors of the light on objects, by number; none at first.
+        The lights on objects, by number; none at first.
     """
 
     def __init__(
@@ -137,7 +136,7 @@ class ColorField:
             self._numbers[number] = numbers
             first += len(own)
         self.values: Floats = np.concatenate(values) if values else np.zeros((0, 3), np.float32)
-        self.lights: dict[int, Doubles] = {}
+        self.lights: dict[int, LightScript] = {}
         self.neighbours = np.concatenate(neighbours) if neighbours else np.zeros((0, 6), np.int32)
 
     def corners(self, number: int, points: Doubles) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
@@ -246,6 +245,8 @@ class FrameSamples:
 
     Attributes
     ----------
+    frame
+        Number of the frame.
     labels
         (n,) uint8 object numbers.
     points
@@ -258,6 +259,7 @@ class FrameSamples:
         (n, 3) float32 normals of the surface in the world, 0 where there is none.
     """
 
+    frame: int
     labels: NDArray[np.uint8]
     points: Doubles
     normals: Floats
@@ -274,9 +276,9 @@ class FrameSamples:
     def lit(self, field: ColorField) -> Floats:
         """Return the light (n,) on the samples."""
         light = np.ones(len(self.labels), dtype=np.float32)
-        for number, factors in field.lights.items():
+        for number, script in field.lights.items():
             here = self.labels == number
-            light[here] += (light_terms(self.normals[here]) @ factors).astype(np.float32)
+            light[here] += (light_terms(self.normals[here]) @ light_at(script, self.frame)).astype(np.float32)
         return np.asarray(np.maximum(light, np.float32(LEAST_LIGHT)))
 
 
@@ -329,6 +331,7 @@ class Sampler:
             numbers[here], weights[here] = field.corners(number, points[here])
         usable = weights.any(axis=1)
         return FrameSamples(
+            frame=frame.index,
             labels=labels[usable],
             points=points[usable],
             normals=normals[usable].astype(np.float32),
@@ -363,27 +366,30 @@ def shown_shares(colors: ColorField, samples: Iterable[FrameSamples]) -> Floats:
     return shares.astype(np.float32)
 
 
-def light_terms(normals: Floats) -> Doubles:
-    """Return the terms (n, 8) of `threedvc.kernels.shading.light_basis` for normals (n, 3)."""
-    terms = np.empty((len(normals), LIGHT_TERMS))
-    light_bases(normals.astype(np.float64), terms)
-    return terms
+def fit_light(
+    colors: ColorField, number: int, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]], epoch: int
+) -> None:
+    """Set the lights on an object to those with which its colours fit the samples and gains best.
 
-
-def fit_light(colors: ColorField, number: int, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]]) -> None:
-    """Set the light on an object to the one with which its colours fit the samples and gains best."""
-    matrix, side = LIGHT_PRIOR * np.eye(LIGHT_TERMS), np.zeros(LIGHT_TERMS)
+    They may change every `epoch` frames.
+    """
+    epochs: dict[int, LightEquations] = {}
     for sample, units in samples:
         here = sample.labels == number
+        if not here.any():
+            continue
         gain, offset = apply_gain(units)
         values = np.empty((len(here), 3), dtype=np.float32)
         gather_colors(0, len(here), sample.numbers, sample.weights, colors.values, values)
         base = (values[here] * gain).astype(np.float64)
-        terms = light_terms(sample.normals[here])
         rest = sample.observed[here] - offset - base
-        matrix += terms.T @ (terms * (base**2).sum(axis=1)[:, None])
-        side += terms.T @ (base * rest).sum(axis=1)
-    colors.lights[number] = unpack_light(pack_light(np.asarray(np.linalg.solve(matrix, side), dtype=np.float64)))
+        equations, first = (
+            LightEquations.of(light_terms(sample.normals[here]), base, rest),
+            sample.frame // epoch * epoch,
+        )
+        epochs[first] = epochs[first] + equations if first in epochs else equations
+    if epochs:
+        colors.lights[number] = light_script(epochs)
 
 
 def joined(colors: ColorField, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]]) -> JoinedSamples:

@@ -30,6 +30,7 @@ from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.finishing import Finish
 from threedvc.focus import finer, focused
 from threedvc.frame import NANOSECONDS, SequenceInfo
+from threedvc.lighting import light_at
 from threedvc.limits import MAX_COUNT
 from threedvc.model_update import ModelUpdate
 from threedvc.object_model import DecodedModel
@@ -264,8 +265,8 @@ class Emitter:
         """Return what a group holds of an object besides its model update; None before it appears."""
         guessed = number in self._guessed
         item = self._guessed[number] if guessed else self._scene.objects[number]
-        introduction = []
-        if number not in self._sent:
+        introduction, new = [], number not in self._sent
+        if new:
             if item.born is None or item.born >= stop:
                 return None
             model = self._new_model(item, guessed)
@@ -279,11 +280,18 @@ class Emitter:
                     relief_bits=model.relief_bits,
                 ).packet()
             )
-            if self._finished is not None and number in self._finished.colors.lights:
-                light = pack_light(self._finished.colors.lights[number])
-                introduction.append(LightHeader(object_id=number, frame=first).packet(light))
         sent = self._sent[number]
+        introduction += self._light_packets(number, first, stop, new=new)
         return _Entry(sent, introduction, list(self._poses(sent, first, stop)))
+
+    def _light_packets(self, number: int, first: int, stop: int, *, new: bool) -> Iterator[Packet]:
+        """Yield the lights on an object that begin in a group, and the present one if the object is new."""
+        script = () if self._finished is None else self._finished.colors.lights.get(number, ())
+        if script and new:
+            yield LightHeader(object_id=number, frame=first).packet(pack_light(light_at(script, first)))
+        for frame, factors in script[1:]:
+            if first + new <= frame < stop:
+                yield LightHeader(object_id=number, frame=frame).packet(pack_light(factors))
 
     def _new_model(self, item: SceneObject, guessed: bool) -> DecodedModel:
         """Return the model of an object of which nothing has been sent."""

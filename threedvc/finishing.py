@@ -37,6 +37,7 @@ from threedvc.errors import FormatError
 from threedvc.evidence_view import Thinned
 from threedvc.frame import Frame, FrameSequence
 from threedvc.guesswork import Guess, guess_surfaces
+from threedvc.lighting import epoch_frames
 from threedvc.motion import Script
 from threedvc.pose import Pose, identity, inverse
 from threedvc.rate_control import error_at
@@ -270,7 +271,9 @@ class _Fit:
         for fit in range(fits if self._kept else 0):
             fit_colors(self.colors, joined(self.colors, self._samples()), self._threads)
             for number in self._lit:
-                fit_light(self.colors, number, self._samples())
+                # Until colours are about right, a light that changes would make up for them.
+                epoch = len(self._frames) if 2 * fit < fits else epoch_frames(len(self._frames))
+                fit_light(self.colors, number, self._samples(), epoch)
             if fit < fits - 1:
                 for index, sample in self._kept:
                     self._gains[index] = fit_gain(sample, sample.shown(self.colors), self._grey)

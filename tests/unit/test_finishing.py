@@ -39,6 +39,7 @@ from threedvc.readout import read_surface
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.synthesis import SyntheticSequence, make_scene
 
+MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
 WHOLE = SegmentationConfig(mode=SegmentationMode.NONE)
 SIZES = {"paper": (80, 80), "room": (128, 96), "objects": (128, 96)}
@@ -144,10 +145,43 @@ def test_a_moving_camera_has_no_backdrop() -> None:
 
 
 def test_objects_that_turn_have_a_light() -> None:
-    packets = encoded(scene("objects", 30), replace(FILE, segmentation=SegmentationConfig(mode=SegmentationMode.MASKS)))
+    packets = encoded(scene("objects", 30), replace(FILE, segmentation=MASKS))
     lights = members(packets, PacketType.LIGHT)
     assert lights
     assert all(len(packet.payload) == 8 and packet.header["o"] > 0 for packet in lights)
+
+
+def lit_anew(frames: int, change: int) -> ListSequence:
+    """Return objects on which the lamps change places from frame `change` on, before a background that stays."""
+    day = make_scene("objects", frames=60, size=SIZES["objects"])
+    lamp, other = day.lights
+    night = replace(day, lights=(replace(lamp, position=(0.2, 4.5, 0.6)), replace(other, position=lamp.position)))
+    before, after = SyntheticSequence(day), SyntheticSequence(night)
+    kept = []
+    for index in range(frames):
+        frame = before[index]
+        if index >= change:
+            assert frame.mask is not None
+            color = np.where(frame.mask[..., None] > 0, after[index].color, frame.color)
+            frame = replace(frame, color=color.astype(np.uint8))
+        kept.append(frame)
+    return ListSequence(kept, replace(before.info, frame_count=frames))
+
+
+def test_a_light_that_changes_is_sent_when_it_does() -> None:
+    change, config = 24, replace(with_preset(FILE, Preset.FAST), segmentation=MASKS)
+    errors = []
+    for sequence in (lit_anew(40, change), lit_anew(40, 40)):
+        packets = encoded(sequence, config)
+        for number in (1, 2):
+            starts = [light.header["f"] for light in members(packets, PacketType.LIGHT) if light.header["o"] == number]
+            assert starts[0] == 0
+            assert len(starts) <= 3
+            assert (change in starts) == (not errors)
+        pairs = zip(drawn(packets), sequence.frames, strict=True)
+        squares = [np.square(got.astype(float) - frame.color)[frame.mask > 0].mean() for got, frame in pairs]
+        errors.append(np.mean(squares[change:]))
+    assert errors[0] < 1.3 * errors[1]
 
 
 def wrong_poses(sequence: ListSequence) -> ListSequence:
