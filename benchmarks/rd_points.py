@@ -38,10 +38,10 @@ RUNS = (
     Run(sequence="cow_turn", options="--segment masks --motion known", rates=(6.0, 8.78, 12.8)),
     Run(sequence="two_toys", options="--segment masks --motion known", rates=(24.0, 34.7, 48.0)),
     Run(sequence="room_orbit", options="--segment none --motion known", rates=(20.0, 28.6)),
-    Run(sequence="kitchen300", options="--motion known", rates=(17.0, 25.0)),
-    Run(sequence="fr1_rpy", options="--motion known", rates=(36.0, 55.9)),
+    Run(sequence="kitchen300", options="--motion known", rates=(10.0, 17.0, 25.0)),
+    Run(sequence="fr1_rpy", options="--motion known", rates=(36.0, 55.9, 84.0)),
     Run(sequence="realsense_desk", options="--max-depth 4m", rates=(32.0, 64.0)),
-    Run(sequence="iphone_door", options="--motion known", rates=(8.0, 16.0)),
+    Run(sequence="iphone_door", options="--motion known", rates=(24.0, 48.0, 96.0)),
     Run(sequence="cereal_box", options="--segment masks --motion track", rates=(16.0, 32.0)),
 )
 """How sequences are encoded here, and at which rates in kbit/s, where 3-D models are at home."""
