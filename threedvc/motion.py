@@ -28,7 +28,7 @@ SAME_SURFACE = 0.03
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Located:
-    """An object's pose in a frame, and how it was found: known, tracked, weak or lost."""
+    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak or lost."""
 
     T_camera_object: Pose
     status: str

@@ -38,6 +38,7 @@ class Status(StrEnum):
     """How far a registration can be trusted."""
 
     TRACKED = "tracked"
+    RELOCALISED = "relocalised"
     WEAK = "weak"
     LOST = "lost"
 

@@ -19,7 +19,7 @@ __all__ = ["REPORT_KIND", "FrameReport", "StreamReport", "report_packet", "unpac
 
 REPORT_KIND = "report"
 STEPS_PER_OCTAVE = 32
-STATUSES = ("known", "tracked", "weak", "lost")
+STATUSES = ("known", "tracked", "weak", "lost", "relocalised")
 MAX_REPORT_BYTES = 8 * MAX_COUNT
 
 
@@ -32,7 +32,7 @@ class FrameReport:
     index, timestamp_ns
         Which frame.
     status
-        Worst outcome of finding the objects: ``known``, ``tracked``, ``weak`` or ``lost``.
+        Worst outcome of finding the objects: ``known``, ``tracked``, ``relocalised``, ``weak`` or ``lost``.
     entropy_bits
         Entropy of all models after the frame.
     bytes_so_far

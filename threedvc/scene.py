@@ -34,7 +34,7 @@ BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 SIGHT_FRAMES = 5
-STATUS_ORDER = ("known", "tracked", "weak", "lost")
+STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
 def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], info: SequenceInfo) -> float:

@@ -87,7 +87,7 @@ def test_damaged_compression(payload: bytes) -> None:
         b"",
         varints(1),
         varints(2, 1, 1, 2) + pack_signed_varint(5),
-        varints(1, 1, 4, 1, 0),
+        varints(1, 1, len(STATUSES), 1, 0),
         varints(3, 1, 1, 2, 0, 0),
         varints(1, 1, 1, 2, 0, 0),
         varints(1, 2, 1, 0, 1, 1, 0),
