@@ -9,9 +9,13 @@ from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_block, find_cell
 from threedvc.kernels.raycast import next_crossing
 
-__all__ = ["cast_evidence", "interpolate"]
+__all__ = ["cast_evidence", "fill_between", "interpolate"]
 
 UNKNOWN = 1e9
+MAX_DEPTH_STEP = 0.04
+MAX_BEND = 0.006
+MIN_COSINE = 0.9
+"""What four rays at the corners of a square may differ by if those between are interpolated."""
 
 
 @kernel
@@ -21,9 +25,15 @@ def interpolate(x, y, z, tables, distance, weight):
     ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
     ax, ay, az = x - ix, y - iy, z - iz
     value = 0.0
+    first = find_cell(ix, iy, iz, root_origin, root, supers)
+    if first < 0 or weight[first] <= 0.0:
+        return UNKNOWN
+    inside = (ix & 7) < 7 and (iy & 7) < 7 and (iz & 7) < 7
     for k in range(8):
         dx, dy, dz = k & 1, (k >> 1) & 1, k >> 2
-        cell = find_cell(ix + dx, iy + dy, iz + dz, root_origin, root, supers)
+        cell = first + dx + 8 * dy + 64 * dz
+        if not inside:
+            cell = find_cell(ix + dx, iy + dy, iz + dz, root_origin, root, supers)
         if cell < 0 or weight[cell] <= 0.0:
             return UNKNOWN
         share = (ax if dx else 1.0 - ax) * (ay if dy else 1.0 - ay) * (az if dz else 1.0 - az)
@@ -38,10 +48,13 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
     norm = np.sqrt(dx * dx + dy * dy + dz * dz)
     nudge = 1e-6 / norm
     before, t_before = UNKNOWN, 0.0
+    block, bx, by, bz = np.int32(-1), np.int64(0), np.int64(0), np.int64(0)
     while t < t_far:
         x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
         cx, cy, cz = np.int64(np.floor(x + 0.5)), np.int64(np.floor(y + 0.5)), np.int64(np.floor(z + 0.5))
-        block = find_block(cx >> 3, cy >> 3, cz >> 3, root_origin, root, supers)
+        if block < 0 or cx >> 3 != bx or cy >> 3 != by or cz >> 3 != bz:
+            bx, by, bz = cx >> 3, cy >> 3, cz >> 3
+            block = find_block(bx, by, bz, root_origin, root, supers)
         if block < 0:
             size = 64.0 if block == -2 else 8.0
             shift = 6 if block == -2 else 3
@@ -77,10 +90,10 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
 
 @kernel
 def cast_evidence(
-    rays, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables, distance,
+    rays, numbers, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables, distance,
     weight, color, color_weight, depth, normal, intensity,
 ):  # fmt: skip
-    """Cast rays ``start..stop`` into the evidence.
+    """Cast the rays ``numbers[start:stop]`` into the evidence.
 
     Parameters
     ----------
@@ -94,7 +107,8 @@ def cast_evidence(
     root_origin, root, supers = tables
     T = T_cells_camera
     gradient = np.empty(3)
-    for r in range(start, stop):
+    for k in range(start, stop):
+        r = numbers[k]
         depth[r] = 0.0
         intensity[r] = 0.0
         normal[r, 0], normal[r, 1], normal[r, 2] = 0.0, 0.0, 0.0
@@ -132,11 +146,67 @@ def cast_evidence(
             )
         total, luma = 0.0, 0.0
         ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
-        for k in range(8):
-            ox, oy, oz = k & 1, (k >> 1) & 1, k >> 2
+        for corner in range(8):
+            ox, oy, oz = corner & 1, (corner >> 1) & 1, corner >> 2
             cell = find_cell(ix + ox, iy + oy, iz + oz, root_origin, root, supers)
             if color_weight[cell] > 0.0:
                 w = abs(1 - ox - (x - ix)) * abs(1 - oy - (y - iy)) * abs(1 - oz - (z - iz)) + 1e-6
                 total += w
                 luma += w * (0.299 * color[cell, 0] + 0.587 * color[cell, 1] + 0.114 * color[cell, 2])
         intensity[r] = luma / total if total > 0.0 else np.nan
+
+
+@kernel
+def is_even(depth, normal, a, b, c, d):
+    """Tell whether four rays at the corners of a square met one nearly plane surface, or nothing known."""
+    near, far = min(depth[a], depth[b], depth[c], depth[d]), max(depth[a], depth[b], depth[c], depth[d])
+    if near <= 0.0:
+        return far <= 0.0
+    if far - near > MAX_DEPTH_STEP * near:
+        return False
+    bend = 1.0 / depth[a] - 1.0 / depth[b] - 1.0 / depth[c] + 1.0 / depth[d]
+    if abs(bend) * near > MAX_BEND:
+        return False
+    across = normal[a, 0] * normal[d, 0] + normal[a, 1] * normal[d, 1] + normal[a, 2] * normal[d, 2]
+    athwart = normal[b, 0] * normal[c, 0] + normal[b, 1] * normal[c, 1] + normal[b, 2] * normal[c, 2]
+    return min(across, athwart) > MIN_COSINE
+
+
+@kernel
+def fill_from(place, a, b, depth, normal, intensity, done):
+    """Interpolate a ray between two others, unless they met nothing."""
+    done[place] = 1
+    depth[place], intensity[place] = 0.0, 0.0
+    normal[place, 0], normal[place, 1], normal[place, 2] = 0.0, 0.0, 0.0
+    if depth[a] <= 0.0:
+        return
+    depth[place] = 2.0 / (1.0 / depth[a] + 1.0 / depth[b])
+    x, y, z = normal[a, 0] + normal[b, 0], normal[a, 1] + normal[b, 1], normal[a, 2] + normal[b, 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    normal[place, 0], normal[place, 1], normal[place, 2] = x / length, y / length, z / length
+    intensity[place] = 0.5 * (intensity[a] + intensity[b])
+
+
+@kernel
+def fill_between(start, stop, width, depth, normal, intensity, done):
+    """Interpolate rays between those at even rows and columns where these met one even surface, or nothing.
+
+    Squares ``start..stop`` in rows of squares, whose corners are known; the rows of the last lie in the picture.
+
+    Parameters
+    ----------
+    width
+        Rays in a row.
+    depth, normal, intensity
+        As of `cast_evidence`, updated.
+    done
+        (n,) uint8: set to 1 where a ray is interpolated.
+    """
+    for row in range(2 * start, 2 * stop, 2):
+        for column in range(0, width - 2, 2):
+            a = row * width + column
+            b, c = a + 2, a + 2 * width
+            if is_even(depth, normal, a, b, c, c + 2):
+                fill_from(a + 1, a, b, depth, normal, intensity, done)
+                fill_from(a + width, a, c, depth, normal, intensity, done)
+                fill_from(a + width + 1, b, c, depth, normal, intensity, done)
