@@ -58,6 +58,8 @@ COARSE_CONVERGENCE = 0.05
 FINE_CONVERGENCE = 0.02
 INLIER_SIGMAS = 3.0
 INLIER_DEPTH = 0.01
+INLIER_M = 0.005
+"""Real sensors are wrong by some millimetres however smooth their depth and however near the surface."""
 INLIER_LUMA = 30.0
 MIN_TEST_BLOCKS = 8
 
@@ -392,7 +394,7 @@ def _luma_residuals(fit: _Fit, samples: _Samples) -> Doubles:
 
 def _fits(fit: _Fit, samples: _Samples) -> Mask:
     """Tell which samples lie on the view's surface and do not contradict its luma."""
-    bound = np.maximum(INLIER_SIGMAS * samples.sigma, INLIER_DEPTH * samples.surface[:, 2])
+    bound = np.maximum(np.maximum(INLIER_SIGMAS * samples.sigma, INLIER_DEPTH * samples.surface[:, 2]), INLIER_M)
     dark_or_bright = np.abs(_luma_residuals(fit, samples)) > INLIER_LUMA
     return (np.abs(fit.rows[:, 6]) <= bound) & ~dark_or_bright
 

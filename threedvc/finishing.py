@@ -259,6 +259,8 @@ class _Fit:
             if self._scene.repeated[frame.index]:
                 self._hold(frame.index)
                 continue
+            if self._lost(frame.index):
+                continue
             sample = self._aligned(frame) if aligned else self._sample(frame)
             self._gains[frame.index] = fit_gain(sample, sample.shown(self.colors), self._grey)
             if frame.index % self._every == 0:
@@ -342,7 +344,7 @@ class _Fit:
         last = NEUTRAL
         kept = dict(self._kept)
         for index in range(len(self._frames)):
-            if not self._poses(index) or self._scene.repeated[index]:
+            if not self._poses(index) or self._scene.repeated[index] or self._lost(index):
                 continue
             sample = kept.get(index) or self._sample(self._scene.limited(self._frames[index]))
             shown = sample.shown(self.colors)
@@ -450,6 +452,10 @@ class _Fit:
             at, before = self.script[number][index], self.script[number][index - 1]
             if at is not None and before is not None and not self._scene.is_given(item, at):
                 self.script[number][index] = replace(at, T_camera_object=before.T_camera_object)
+
+    def _lost(self, frame: int) -> bool:
+        """Tell whether an object is drawn where it was not seen: then the picture says nothing about colours."""
+        return any(not at.usable for script in self.script.values() if (at := script[frame]) is not None)
 
     def _poses(self, frame: int) -> dict[int, Pose]:
         """Return where the decoder will draw every object that has appeared."""

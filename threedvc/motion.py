@@ -3,27 +3,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import CameraRig
+from threedvc.camera import Camera, CameraRig
 from threedvc.config import Motion
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import FrameViews, cast_view
+from threedvc.evidence_view import FrameViews, Thinned, cast_view
 from threedvc.frame import Frame, SequenceInfo
+from threedvc.keyframes import Keyframes
 from threedvc.object_model import EvidenceModel
-from threedvc.pose import Pose, identity, inverse, make_pose
-from threedvc.registration import ModelView, RegistrationConfig, Status, register, rests
+from threedvc.pose import Pose, identity, interpolated, inverse, make_pose
+from threedvc.registration import ModelView, Registration, RegistrationConfig, Status, register, rests
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
-__all__ = ["Located", "Script", "Tracker", "known_pose", "motion_of", "refined"]
+__all__ = ["Located", "Script", "Tracker", "known_pose", "motion_of", "pose_between", "refined", "refound"]
 
 SAME_SURFACE = 0.03
+DOUBTFUL = 0.75
+"""A fit that falls to this part of the usual one may be a wrong place: the picture is asked."""
+USUAL = 0.9
+COAST_FRAMES = 5
+"""A lost object goes on as it went for so many frames, then stays."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +83,10 @@ def known_pose(number: int, frame: Frame, only_label: bool) -> Pose | None:
     return next(iter(poses.values())) if only_label and len(poses) == 1 else None
 
 
+_Seen: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], Camera]
+"""Depth, luma and mask (h, w) of a thinned frame, and its camera."""
+
+
 class _Options(TypedDict):
     """What every call of the registration is given."""
 
@@ -86,10 +96,11 @@ class _Options(TypedDict):
 
 
 class Tracker:
-    """Follows one object by registration; remembers its last two poses and how it looked last.
+    """Follows one object by registration; remembers its last two poses, how it looked last, and its keyframes.
 
     Depth is registered with the model, luma with the frame before: the model's colours are as coarse as its
-    cells, and mix the shades that a turning object shows under a fixed light.
+    cells, and mix the shades that a turning object shows under a fixed light. Where that fails, the object is found
+    again by keyframes, and what they say is registered.
 
     Parameters
     ----------
@@ -97,12 +108,19 @@ class Tracker:
         Noise of the depth.
     threads
         Number of threads; poses do not depend on it.
+    lit_evenly
+        Whether shading goes with the surface, as that of a room that only the camera moves in: then luma counts as it
+        is, else against its local mean.
     """
 
-    def __init__(self, sensor: SensorModel, threads: int) -> None:
-        self._sensor, self._threads = sensor, threads
+    def __init__(self, sensor: SensorModel, threads: int, *, lit_evenly: bool = False) -> None:
+        config = RegistrationConfig(detail_pixels=0) if lit_evenly else RegistrationConfig()
+        self._options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config)
         self._poses: list[Pose] = []
         self._resting = False
+        self._usual = 0.0
+        self._lost = 0
+        self._keyframes: Keyframes | None = None
         self._last: tuple[int, NDArray[np.float32], NDArray[np.float32]] | None = None
 
     def start(self, views: FrameViews, mask: NDArray[np.bool_], number: int, rig: CameraRig) -> Located:
@@ -114,41 +132,88 @@ class Tracker:
             slopes = rig.depth.rays()[seen]
             centre = np.array([np.median(slopes[:, 0] * z), np.median(slopes[:, 1] * z), np.median(z)])
             T = make_pose(np.eye(3), centre)
+        self._keyframes = Keyframes(rig)
         self._poses = [T]
         self._remember(views, mask)
         return Located(T_camera_object=T, status=Status.TRACKED)
 
     def locate(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
-        """Register a frame against the evidence; a lost object stays where it was."""
-        thinned = views.form(mask)
-        camera = thinned.camera
-        whole = mask
-        depth, luma, mask = thinned.thin(views.frame.depth), views.luma(thinned), thinned.thin(mask)
+        """Register a frame against the evidence; where that fails, find the object again or say that it is lost."""
         last = self._poses[-1]
         guess = predict(*self._poses) if len(self._poses) > 1 else last
-        view = self._as_last_seen(cast_view(model, thinned, last, self._threads), thinned.stride)
-        options = _Options(sigma_m=self._sensor.sigma_m, threads=self._threads, config=RegistrationConfig())
-        found = register_from_starts(depth, luma, mask, camera, view, guess, **options)
-        if found.status is Status.LOST:
-            return Located(T_camera_object=last, status=Status.LOST)
-        self._resting = rests(depth, luma, mask, camera, view, last, found, resting=self._resting, **options)
+        seen = _seen(views, mask)
+        view = self._view(views.form(mask), model, last)
+        found = register_from_starts(*seen, view, guess, **self._options)
+        status = found.status
+        if status is Status.LOST or (status is Status.WEAK and found.agreement < DOUBTFUL * self._usual):
+            again = self._found_again(views, mask, model)
+            if again is not None and again.agreement > found.agreement * (status is not Status.LOST):
+                found, status = again, Status.RELOCALISED
+        if status is Status.LOST:
+            return self._missed()
+        jumped = status is Status.RELOCALISED
+        self._resting = not jumped and rests(*seen, view, last, found, resting=self._resting, **self._options)
         pose = last if self._resting else found.T_camera_object
-        self._poses = [last, pose]
-        self._remember(views, whole)
-        return Located(T_camera_object=pose, status=found.status)
+        self._poses = [pose] if jumped else [last, pose]
+        self._usual += (1 - USUAL) * (found.agreement - self._usual) if self._usual else found.agreement
+        self._lost = 0
+        self._remember(views, mask)
+        if status is not Status.WEAK:
+            self._note(views, mask)
+        return Located(T_camera_object=pose, status=status)
+
+    def locate_by_picture(self, views: FrameViews) -> Located:
+        """Find the object in a frame without depth by the colour picture alone."""
+        sights = [] if self._keyframes is None else self._keyframes.find(views.frame)
+        if not sights:
+            return self._missed()
+        self._poses, self._last, self._resting = [sights[0].T_camera_object], None, False
+        return Located(T_camera_object=sights[0].T_camera_object, status=Status.WEAK)
+
+    def _missed(self) -> Located:
+        """Let a lost object go on for a moment, then stay where it was."""
+        self._lost += 1
+        if len(self._poses) > 1 and self._lost <= COAST_FRAMES:
+            self._poses = [self._poses[-1], predict(*self._poses)]
+        else:
+            self._poses = self._poses[-1:]
+        self._last, self._resting = None, False
+        return Located(T_camera_object=self._poses[-1], status=Status.LOST)
+
+    def _found_again(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Registration | None:
+        """Return the best registration from poses that keyframes speak for, if it can be trusted."""
+        if self._keyframes is None:
+            return None
+        self._last = None
+        seen, form = _seen(views, mask), views.form(mask)
+        poses = [sight.T_camera_object for sight in self._keyframes.find(views.frame, mask)]
+        tries = [register(*seen, self._view(form, model, pose), pose, **self._options) for pose in poses]
+        trusted = [found for found in tries if found.status is Status.TRACKED]
+        return max(trusted, key=lambda found: found.agreement, default=None)
+
+    def _note(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
+        if self._keyframes is not None:
+            self._keyframes.note(views.frame, mask, self._poses[-1])
 
     def _remember(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
         form = views.form(mask)
         depth = np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))
         self._last = (form.stride, depth, views.luma(form))
 
-    def _as_last_seen(self, view: ModelView, stride: int) -> ModelView:
-        """Give a view from the last pose the luma that the last frame had where it showed the same surface."""
-        if self._last is None or self._last[0] != stride:
+    def _view(self, form: Thinned, model: EvidenceModel, pose: Pose) -> ModelView:
+        """Cast the model, and give a view from the last pose the luma of the last frame on the same surface."""
+        view = cast_view(model, form, pose, self._options["threads"])
+        if self._last is None or self._last[0] != form.stride:
             return view
         _, depth, luma = self._last
         same = (view.depth > 0) & (np.abs(depth - view.depth) < SAME_SURFACE * view.depth)
         return replace(view, intensity=np.where(same, luma, np.float32(np.nan)))
+
+
+def _seen(views: FrameViews, mask: NDArray[np.bool_]) -> _Seen:
+    """Return what registration takes of a frame."""
+    form = views.form(mask)
+    return form.thin(views.frame.depth), views.luma(form), form.thin(mask), form.camera
 
 
 def refined(
@@ -164,13 +229,42 @@ def refined(
 
     The pose stays as it is unless the other fits significantly better.
     """
-    thinned = views.form(mask)
-    depth, luma, mask, camera = thinned.thin(views.frame.depth), views.luma(thinned), thinned.thin(mask), thinned.camera
-    view = cast_view(model, thinned, at.T_camera_object, threads)
+    seen = _seen(views, mask)
+    view = cast_view(model, views.form(mask), at.T_camera_object, threads)
     options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
-    found = register(depth, luma, mask, camera, view, at.T_camera_object, **options)
+    found = register(*seen, view, at.T_camera_object, **options)
     if found.status is not Status.TRACKED:
         return at
-    if rests(depth, luma, mask, camera, view, at.T_camera_object, found, resting=True, **options):
+    if rests(*seen, view, at.T_camera_object, found, resting=True, **options):
         return at
     return replace(at, T_camera_object=found.T_camera_object)
+
+
+def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
+    """Return where a lost object was on its way between the frames nearest to it in which it was found."""
+    usable = [k for k, at in enumerate(found) if at is not None and at.usable]
+    before = max((k for k in usable if k < frame), default=None)
+    after = min((k for k in usable if k > frame), default=None)
+    poses = [at.T_camera_object for k in (before, after) if k is not None and (at := found[k]) is not None]
+    if before is None or after is None:
+        at = found[frame]
+        return poses[0] if poses or at is None else at.T_camera_object
+    return interpolated(poses[0], poses[1], (frame - before) / (after - before))
+
+
+def refound(
+    at: Located,
+    T_guess: Pose,
+    views: FrameViews,
+    mask: NDArray[np.bool_],
+    model: EvidenceModel,
+    sensor: SensorModel,
+    threads: int,
+) -> Located:
+    """Look for a lost object near a guess in the finished model; it stays lost, at the guess, if it is not there."""
+    view = cast_view(model, views.form(mask), T_guess, threads)
+    options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=RegistrationConfig())
+    found = register_from_starts(*_seen(views, mask), view, T_guess, **options)
+    if found.status is not Status.TRACKED:
+        return replace(at, T_camera_object=T_guess)
+    return Located(T_camera_object=found.T_camera_object, status=Status.RELOCALISED)

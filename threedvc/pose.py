@@ -13,6 +13,7 @@ __all__ = [
     "Pose",
     "compose",
     "identity",
+    "interpolated",
     "inverse",
     "is_rigid",
     "make_pose",
@@ -126,3 +127,11 @@ def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 def rotation_angle(pose: Pose) -> float:
     """Return the angle by which a transform turns, in radians."""
     return float(np.linalg.norm(rotation_vector(pose[:3, :3])))
+
+
+def interpolated(first: Pose, second: Pose, share: float) -> Pose:
+    """Return the pose at a share 0..1 of the way from one pose to another, turning evenly about one axis."""
+    turn = rotation_vector(second[:3, :3] @ first[:3, :3].T)
+    return make_pose(
+        rotation_from_vector(share * turn) @ first[:3, :3], first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
+    )

@@ -18,7 +18,7 @@ from threedvc.calibration import calibrate, sighting
 from threedvc.camera import CameraRig
 from threedvc.evidence_view import FrameViews, cast_view
 from threedvc.frame import FrameSequence
-from threedvc.motion import Located, Script, refined
+from threedvc.motion import Located, Script, pose_between, refined, refound
 from threedvc.readout import read_surface
 from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
@@ -54,7 +54,10 @@ def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
 
 
 def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> Script:
-    """Register every object in every frame once more; one that rests in the script goes on resting."""
+    """Register every object in every frame once more; one that rests in the script goes on resting.
+
+    One that was lost is looked for on the way between the frames before and after, and left there if it is not found.
+    """
     script: Script = {number: [] for number in scene.objects}
     for frame in map(scene.limited, frames):
         labels = segment(frame, scene.config.segmentation, scene.info)
@@ -107,8 +110,11 @@ def _refined(
     config: RegistrationConfig | None,
 ) -> Located | None:
     at = item.found[views.frame.index]
-    if at is None or not at.usable:
-        return at
+    if at is None:
+        return None
+    if not at.usable:
+        between = pose_between(item.found, views.frame.index)
+        return refound(at, between, views, mask, item.evidence, scene.sensor, scene.config.threads)
     if views.frame.index and before[-1] is not None:
         previous = item.found[views.frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):

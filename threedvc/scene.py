@@ -81,7 +81,8 @@ class SceneObject:
             pose = known_pose(self.number, views.frame, alone)
             return None if pose is None else Located(T_camera_object=pose, status="known")
         if np.count_nonzero(mask & (views.frame.depth > 0)) < MIN_PIXELS:
-            return None
+            blind = self.number == 0 and self.born is not None and not views.frame.depth.any()
+            return self.tracker.locate_by_picture(views) if blind else None
         if self.born is None:
             return self.tracker.start(views, mask, self.number, rig)
         return self.tracker.locate(views, mask, self.evidence)
@@ -252,7 +253,7 @@ class Scene:
                 size *= BACKDROP_CELLS
             size *= self.config.cell_factor * (self._live_factor or 1.0)
             size = max(round(size, 4), MIN_VOXEL_SIZE_M)
-        tracker = Tracker(sensor, self.config.threads) if tracked else None
+        tracker = Tracker(sensor, self.config.threads, lit_evenly=number == 0) if tracked else None
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 

@@ -90,8 +90,8 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
 
 @kernel
 def cast_evidence(
-    rays, numbers, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables, distance,
-    weight, color, color_weight, depth, normal, intensity,
+    rays, numbers, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables,
+    distance, weight, color, color_weight, depth, normal, intensity,
 ):  # fmt: skip
     """Cast the rays ``numbers[start:stop]`` into the evidence.
 
