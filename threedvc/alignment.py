@@ -197,6 +197,23 @@ class Alignment:
         error = float(means.std(ddof=1) / np.sqrt(len(means)))
         return float(means.mean() / max(error, 1e-12))
 
+    def information(self, T_camera_object: Pose) -> Doubles | None:
+        """Return how surely the residuals determine a pose; None where too few samples meet the model.
+
+        Returns
+        -------
+        numpy.ndarray
+            (6, 6) inverse covariance of a small motion (turn, shift) of the frame in the view's camera, as if all
+            samples were independent.
+        """
+        T_view_frame = self._view_frame(T_camera_object)
+        fit = self._associate(T_view_frame, 0, None)
+        if fit is None:
+            return None
+        depth, luma = self._normal_equations(fit, self.samples[0], np.zeros(3))
+        coupling = np.linalg.solve(luma[6:, 6:8], luma[6:, :6])
+        return np.asarray(depth[:6, :6] + luma[:6, :6] - luma[:6, 6:8] @ coupling)
+
     def _view_frame(self, T_camera_object: Pose) -> Pose:
         return self.view.T_camera_object @ inverse(T_camera_object)
 

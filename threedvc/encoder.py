@@ -23,6 +23,7 @@ from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
+from threedvc.loop_closure import closed_loops
 from threedvc.motion import Located
 from threedvc.packets import Packet, PacketType
 from threedvc.picture_filter import PictureFilter
@@ -55,6 +56,9 @@ MORE_ROUNDS = 2
 TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.15, rest_pixels=0.01, move_pixels=0.01)
 """Registration with the depth: luma counts little, but where the depth leaves a direction open. It refines poses that
 are about right, so whatever is not lost may be trusted."""
+DOUBTED_LUMA = 0.1
+"""Weight of luma in the first pass, when it is not known yet whether depth and colour are registered as the input says:
+a colour camera with another focal length would show other motions."""
 WORTHWHILE_SHIFTS = 0.06
 """Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
 LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.45, 0.65
@@ -110,6 +114,8 @@ class Encoder:
             yield from self._live(frames, on_frame)
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
+        if again and self.config.refine:
+            self.scene.luma_weight = DOUBTED_LUMA
         self._fuse_all(frames, on_frame)
         self._check_focus()
         finished = None
@@ -211,17 +217,45 @@ class Encoder:
         self._fit_cells(frames, on_frame)
         shifts = None
         if self.config.refine:
-            rig = calibrated_rig(self.scene, frames)
-            if rig is not None:
-                known = {number: item.found for number, item in self.scene.objects.items()}
-                self.scene = Scene(replace(self.info, rig=rig), self.config, known)
-                self._fuse_all(frames, on_frame)
-            self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
+            self._calibrate(frames, on_frame)
+            self._close_loops(frames, on_frame)
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
                 shifts = self._align(frames, on_frame)
             self._try_cells(frames, on_frame, shifts)
         self._choose_relief()
         return finish(self.scene, frames, shifts)
+
+    def _calibrate(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Calibrate the colour camera, and find all poses once more with what is then known.
+
+        Where the input's own calibration turns out to be right, luma counts fully, and what was tracked is tracked
+        anew. A new one is not quite exact: the depth leads on.
+        """
+        tracked = any(item.tracker is not None for item in self.scene.objects.values())
+        rig = calibrated_rig(self.scene, frames)
+        if rig is not None:
+            known = {number: item.found for number, item in self.scene.objects.items()}
+            self.scene = Scene(replace(self.info, rig=rig), self.config, known)
+            self._fuse_all(frames, on_frame)
+        elif tracked:
+            self.scene = Scene(self.info, self.config)
+            self._fuse_all(frames, on_frame)
+        script = refined_script(self.scene, frames, TO_DEPTH if tracked and rig is not None else None)
+        self._fuse_again(frames, on_frame, script)
+
+    def _close_loops(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Take the drift out of a tracked camera's path, if that makes the model fit the frames better."""
+        if not self.scene.may_move(0) or all(at is None or at.status == "known" for at in self.scene.objects[0].found):
+            return
+        closed = closed_loops(self.scene, frames)
+        if closed is None:
+            return
+        before, reports = self.scene, self.reports
+        script = {number: item.found for number, item in before.objects.items()}
+        self._fuse_again(frames, on_frame, script | {0: closed})
+        self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
+        if depth_misfit(self.scene, frames) > WORTHWHILE_ROUND * depth_misfit(before, frames):
+            self.scene, self.reports = before, reports
 
     def _align(self, frames: FrameSequence, on_frame: OnFrame | None) -> list[Pose] | None:
         """Move the camera to where pictures fit best; return the shifts of the colour pictures if there are to be any.

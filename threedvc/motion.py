@@ -111,10 +111,16 @@ class Tracker:
     lit_evenly
         Whether shading goes with the surface, as that of a room that only the camera moves in: then luma counts as it
         is, else against its local mean.
+    luma_weight
+        Weight of luma against depth.
     """
 
-    def __init__(self, sensor: SensorModel, threads: int, *, lit_evenly: bool = False) -> None:
-        config = RegistrationConfig(detail_pixels=0) if lit_evenly else RegistrationConfig()
+    def __init__(
+        self, sensor: SensorModel, threads: int, *, lit_evenly: bool = False, luma_weight: float = 1.0
+    ) -> None:
+        config = RegistrationConfig(luma_weight=luma_weight)
+        if lit_evenly:
+            config = replace(config, detail_pixels=0)
         self._options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config)
         self._poses: list[Pose] = []
         self._resting = False

@@ -131,6 +131,8 @@ class Scene:
     gains
         For each frame, units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless
         the encoder is causal, for others fit them later.
+    luma_weight
+        Weight of luma against depth where objects are tracked; to be set before the first frame.
     """
 
     def __init__(
@@ -142,6 +144,7 @@ class Scene:
         self.timestamps: list[int] = []
         self.repeated: list[bool] = []
         self.gains: list[NDArray[np.int64]] = []
+        self.luma_weight = 1.0
         self._before: Frame | None = None
         self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
         self._rays = info.rig.depth.rays()
@@ -253,7 +256,9 @@ class Scene:
                 size *= BACKDROP_CELLS
             size *= self.config.cell_factor * (self._live_factor or 1.0)
             size = max(round(size, 4), MIN_VOXEL_SIZE_M)
-        tracker = Tracker(sensor, self.config.threads, lit_evenly=number == 0) if tracked else None
+        tracker = None
+        if tracked:
+            tracker = Tracker(sensor, self.config.threads, lit_evenly=number == 0, luma_weight=self.luma_weight)
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 

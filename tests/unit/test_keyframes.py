@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""Poses found again by picture features."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from threedvc.keyframes import Keyframes
+from threedvc.pose import Pose, inverse, rotation_angle
+from threedvc.synthesis import SyntheticSequence, make_scene
+
+ROOM = SyntheticSequence(make_scene("room", frames=30, size=(320, 240)))
+
+
+def everywhere(frame: int) -> np.ndarray:
+    return np.ones(ROOM[frame].depth.shape, dtype=np.bool_)
+
+
+def pose_of(frame: int) -> Pose:
+    T = ROOM[frame].T_world_camera
+    assert T is not None
+    return inverse(T)
+
+
+def kept(*numbers: int) -> Keyframes:
+    keyframes = Keyframes(ROOM.info.rig)
+    for number in numbers:
+        keyframes.note(ROOM[number], everywhere(number), pose_of(number))
+    return keyframes
+
+
+def assert_near(found: Pose, frame: int) -> None:
+    error = found @ inverse(pose_of(frame))
+    assert rotation_angle(error) < np.radians(2)
+    assert np.linalg.norm(error[:3, 3]) < 0.05
+
+
+def test_a_frame_is_found_among_keyframes_without_a_guess() -> None:
+    sights = kept(0, 12, 24).find(ROOM[13])
+    assert sights
+    assert_near(sights[0].T_camera_object, 13)
+
+
+def test_depth_is_not_needed() -> None:
+    blind = replace(ROOM[13], depth=np.zeros_like(ROOM[13].depth))
+    assert_near(kept(0, 12, 24).find(blind)[0].T_camera_object, 13)
+
+
+def test_frames_from_about_the_same_place_are_kept_once() -> None:
+    assert len(kept(5, 5, 5)) == 1
+    assert len(kept(0, 15, 29)) > 1
+
+
+def test_features_of_other_pixels_do_not_count() -> None:
+    assert not kept(0, 12, 24).find(ROOM[13], np.zeros_like(everywhere(13)))
+
+
+def test_nothing_is_found_where_there_is_nothing() -> None:
+    keyframes = kept(0, 12)
+    dark = replace(ROOM[13], color=np.zeros_like(ROOM[13].color))
+    assert not keyframes.find(dark)
+    keyframes.note(dark, everywhere(13), pose_of(13) @ pose_of(29))
+    assert len(keyframes) == len(kept(0, 12))
+    noise = np.random.default_rng(0).integers(0, 256, dark.color.shape, dtype=np.uint8)
+    assert not keyframes.find(replace(dark, color=noise))
+    assert not Keyframes(ROOM.info.rig).find(ROOM[3])
+
+
+def test_a_frame_without_depth_is_not_kept() -> None:
+    keyframes = Keyframes(ROOM.info.rig)
+    keyframes.note(replace(ROOM[0], depth=np.zeros_like(ROOM[0].depth)), everywhere(0), pose_of(0))
+    assert len(keyframes) == 0
