@@ -141,7 +141,7 @@ def _paper(report: StreamStatistics) -> str:
 def _motion(report: StreamStatistics) -> Iterator[str]:
     if report.camera is not None:
         yield _row("camera", _trajectory(report.camera))
-        lost = f", {report.status.get('lost', 0)} of them lost" if report.status else ""
+        lost = f"; lost in the stream: {report.status.get('lost', 0)}" if report.status else ""
         yield _row("", f"over all {report.camera.frames} frames with a known pose{lost}")
     for number, error in report.object_motion.items():
         yield _row(f"object {number}", _trajectory(error))

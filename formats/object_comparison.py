@@ -183,17 +183,17 @@ class ObjectComparison:
         return matched(shared, drawn)
 
     def motion(self) -> dict[int, TrajectoryError]:
-        """Return, by number, the error of the camera's trajectory as seen from the object."""
+        """Return, by number, the error of the camera's trajectory as seen from the object, in frames that show it."""
         errors = {}
         for label, number in sorted(self.matches().items(), key=lambda item: item[1]):
-            pairs = [frame for frame in self._frames if label in frame.true and number in frame.found]
+            frames = self._posed(label, number)
             # Seen from the object, a stream's own choice of object frame is a choice of world, which
             # the alignment of trajectories removes.
-            if pairs:
+            if frames:
                 errors[number] = trajectory_error(
-                    [inverse(frame.true[label]) for frame in pairs],
-                    [inverse(frame.found[number]) for frame in pairs],
-                    [frame.index for frame in pairs],
+                    [inverse(frame.true[label]) for frame in frames],
+                    [inverse(frame.found[number]) for frame in frames],
+                    [frame.index for frame in frames],
                 )
         return errors
 
@@ -231,12 +231,13 @@ class ObjectComparison:
                 moved.append(frame)
         return moved
 
+    def _posed(self, label: int, number: int) -> list[_Seen]:
+        """Return the frames that show an object and in which both of its poses are known."""
+        both = (frame for frame in self._frames if label in frame.true and number in frame.found)
+        return [frame for frame in both if frame.shows(number, label)]
+
     def _pose(self, label: int, number: int) -> ObjectPoseError | None:
-        frames = [
-            frame
-            for frame in self._frames
-            if label in frame.true and number in frame.found and frame.shows(number, label)
-        ]
+        frames = self._posed(label, number)
         if not frames:
             return None
         return object_pose_error([frame.true[label] for frame in frames], [frame.found[number] for frame in frames])

@@ -187,7 +187,7 @@ class FakeDecodedFrame:
 
 
 class FakeStream:
-    """Stands for an opened stream: reads the real packets and draws gradients instead of models."""
+    """Stands for an opened stream: reads the real packets and draws gradients, as object 1, instead of models."""
 
     changes: Mapping[str, int] = {}
 
@@ -211,7 +211,7 @@ class FakeStream:
             timestamp_ns=frame.timestamp_ns,
             color=frame.color,
             depth=frame.depth,
-            labels=np.zeros(frame.depth.shape, dtype=np.uint8),
+            labels=np.ones(frame.depth.shape, dtype=np.uint8),
             T_world_camera=frame.T_world_camera,
             T_camera_object=frame.T_camera_object,
         )

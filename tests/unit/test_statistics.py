@@ -281,16 +281,34 @@ class TestQuality:
         assert set(values) == KEYS | {"quality"}
         assert set(values["trajectory"]) == {"status", "spans", "lost_frames", "travel", "poses"}
 
-    def test_masks_tell_which_objects_were_found(self, fake_decoder: type[FakeStream]) -> None:
-        masks = [np.full(frame.depth.shape, 3, dtype=np.uint8) for frame in ListSequence().frames]
-        found = report(ListSequence([replace(f, mask=m) for f, m in zip(ListSequence().frames, masks, strict=True)]))
+    def test_masks_tell_which_objects_were_found(self) -> None:
+        frames = ListSequence().frames
+        mask = np.full(frames[0].depth.shape, 3, dtype=np.uint8)
+        mask[:3] = 0
+        poses = [{3: frame.T_camera_object[1]} for frame in frames]
+        changed = zip(frames, [mask, None, mask, mask], poses, strict=True)
+        found = report(ListSequence([replace(f, mask=m, T_camera_object=T) for f, m, T in changed]))
         assert found.reference_objects is not None
-        by_label = {item.label: item for item in found.reference_objects}
-        assert (by_label[3].number, by_label[3].frames, by_label[3].iou) == (None, FRAMES, 0)
-        assert by_label[1].frames == 0
+        (thing,) = found.reference_objects
+        assert (thing.label, thing.number, thing.frames, thing.iou) == (3, 1, 3, 0.75)
+        # The thing goes 5 cm a frame.
+        assert (thing.moved_frames, thing.moved_iou) == (2, 0.75)
+        assert thing.pose is not None
+        assert thing.pose.frames == FRAMES
+        assert thing.pose.translation_max_mm == pytest.approx(0, abs=1e-9)
+        assert list(found.object_motion) == [1]
         values = json.loads(found.to_json())
         assert values["spurious_objects"] == []
-        assert [item["label"] for item in values["reference_objects"]] == [1, 3]
+        assert [item["label"] for item in values["reference_objects"]] == [3]
+
+    def test_an_object_where_the_reference_has_none_is_spurious(self) -> None:
+        bare = [
+            replace(frame, mask=np.zeros(frame.depth.shape, dtype=np.uint8), T_camera_object={})
+            for frame in ListSequence().frames
+        ]
+        values = json.loads(report(ListSequence(bare)).to_json())
+        assert values["reference_objects"] == []
+        assert values["spurious_objects"] == [{"number": 1, "frames": FRAMES, "spans": [[0, 3]]}]
 
     def test_nothing_to_measure_is_null(self) -> None:
         empty = [replace(frame, depth=np.zeros_like(frame.depth)) for frame in ListSequence().frames]
