@@ -15,11 +15,13 @@ from threedvc.cli.files import write_file
 from threedvc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from threedvc.formats.spans import Span
     from threedvc.formats.statistics import StreamStatistics
 
 __all__ = ["check_plotting", "plot_statistics"]
 
 FORMATS = (".png", ".pdf", ".svg")
+STATUS_COLORS = {"relocalised": "tab:blue", "weak": "tab:orange", "lost": "tab:red"}
 
 
 def check_plotting(path: Path) -> None:
@@ -39,14 +41,16 @@ def check_plotting(path: Path) -> None:
 
 
 def plot_statistics(report: StreamStatistics, path: Path) -> None:
-    """Draw cumulative bytes, model entropy and packet shares over time into a picture file."""
+    """Draw cumulative bytes, model entropy, visible objects and status over time, and packet shares, into a file."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 9), layout="constrained")
-    size, entropy, shares = figure.subplots(3, 1)
+    figure = Figure(figsize=(8, 11), layout="constrained")
+    size, entropy, course, shares = figure.subplots(4, 1)
     figure.suptitle(f"{report.name}: {report.frames} frames, {report.file_bytes:,} bytes, {report.kbit_s:.1f} kbit/s")
     _draw_bytes(size, report)
     _draw_entropy(entropy, report)
+    course.sharex(size)
+    _draw_course(course, report)
     _draw_shares(shares, report)
     data = io.BytesIO()
     figure.savefig(data, format=path.suffix.lower().removeprefix("."), dpi=120)
@@ -66,6 +70,27 @@ def _draw_entropy(axes: Any, report: StreamStatistics) -> None:
     axes.plot([frame for frame, _ in points], [bits for _, bits in points])
     axes.set(xlabel="frame", ylabel="model entropy, kbit")
     axes.grid(alpha=0.3)
+
+
+def _draw_course(axes: Any, report: StreamStatistics) -> None:
+    """Draw a bar for each run of frames that show an object, and shade frames by a status worth a look."""
+    names = [str(item.id) for item in report.objects]
+    for row, item in enumerate(report.objects):
+        axes.broken_barh([_stretch(span) for span in item.spans], (row - 0.3, 0.6), color="tab:gray")
+    for status, spans in report.status_spans.items():
+        for span in spans:
+            start, length = _stretch(span)
+            label = status if span is spans[0] else None
+            axes.axvspan(start, start + length, color=STATUS_COLORS[status], alpha=0.4, linewidth=0, label=label)
+    if report.status_spans:
+        axes.legend(loc="upper right")
+    axes.set(xlabel="frame", ylabel="visible object")
+    axes.set_yticks(range(len(names)), names)
+
+
+def _stretch(span: Span) -> tuple[float, int]:
+    """Return where the frames of a span begin on the axis, and how many they are."""
+    return span.first - 0.5, span.last - span.first + 1
 
 
 def _draw_shares(axes: Any, report: StreamStatistics) -> None:

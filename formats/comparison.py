@@ -3,27 +3,20 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 
 from threedvc.errors import SequenceError
 from threedvc.formats.api import DecodedFrame
+from threedvc.formats.object_comparison import ObjectComparison
 from threedvc.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo
-from threedvc.metrics import (
-    ColorQuality,
-    DepthErrors,
-    TrajectoryError,
-    depth_units,
-    mean_color_quality,
-    trajectory_error,
-)
-from threedvc.pose import Pose, inverse
+from threedvc.metrics import ColorQuality, DepthErrors, depth_units, mean_color_quality
+from threedvc.pose import Pose
+from threedvc.trajectory import TrajectoryError, trajectory_error
 
 __all__ = ["Comparison", "check_comparable", "paired"]
 
 MILLIMETRES = 1000.0
-CAMERA = -1
 
 
 def check_comparable(decoded: SequenceInfo, reference: SequenceInfo) -> None:
@@ -90,13 +83,16 @@ class Comparison:
         Units per metre of the depth pictures, in which depth is compared.
     per_frame
         Measures of each frame alone, under their names in the JSON report.
+    objects
+        Objects beside those of the reference.
     """
 
     depth_scale: float
     per_frame: list[dict[str, float]] = field(default_factory=list)
+    objects: ObjectComparison = field(default_factory=ObjectComparison)
     _color: list[ColorQuality] = field(default_factory=list)
     _depth: DepthErrors | None = None
-    _poses: defaultdict[int, list[tuple[Pose, Pose]]] = field(default_factory=lambda: defaultdict(list))
+    _camera: dict[int, tuple[Pose, Pose]] = field(default_factory=dict)
 
     def add(self, drawn: DecodedFrame, given: Frame) -> None:
         """Compare one frame."""
@@ -109,7 +105,9 @@ class Comparison:
         self.per_frame.append(asdict(color) | depth.quality())
         self._color.append(color)
         self._depth = depth if self._depth is None else self._depth + depth
-        self._add_poses(drawn, given)
+        self.objects.add(drawn, given)
+        if given.T_world_camera is not None:
+            self._camera[drawn.index] = (given.T_world_camera, drawn.T_world_camera)
 
     def quality(self) -> dict[str, float]:
         """Return the measures over all frames under their names in the JSON report."""
@@ -119,23 +117,7 @@ class Comparison:
 
     def camera(self) -> TrajectoryError | None:
         """Return the error of the camera's trajectory; None where the reference has no poses."""
-        return self._trajectory(CAMERA)
-
-    def object_motion(self) -> Mapping[int, TrajectoryError]:
-        """Return, by object, the error of the camera's trajectory as seen from the object."""
-        errors = {number: self._trajectory(number) for number in sorted(self._poses) if number != CAMERA}
-        return {number: error for number, error in errors.items() if error is not None}
-
-    def _add_poses(self, drawn: DecodedFrame, given: Frame) -> None:
-        if given.T_world_camera is not None:
-            self._poses[CAMERA].append((given.T_world_camera, drawn.T_world_camera))
-        for number, pose in given.T_camera_object.items():
-            found = drawn.T_camera_object.get(number)
-            # Seen from the object, a stream's own choice of object frame is a choice of world, which
-            # the alignment of trajectories removes.
-            if found is not None:
-                self._poses[number].append((inverse(pose), inverse(found)))
-
-    def _trajectory(self, number: int) -> TrajectoryError | None:
-        pairs = self._poses.get(number)
-        return trajectory_error([true for true, _ in pairs], [found for _, found in pairs]) if pairs else None
+        if not self._camera:
+            return None
+        true, found = zip(*self._camera.values(), strict=True)
+        return trajectory_error(true, found, list(self._camera))

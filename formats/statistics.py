@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What a stream weighs, where its bytes go, and how well it draws a reference sequence.
+"""What a stream weighs, where its bytes go, what moves in it, and how well it draws a reference sequence.
 
-The stream is decoded once without drawing anything, for its bytes, models and motion; with a reference
-once more, drawing and comparing one frame at a time.
+The stream is decoded once, for its bytes, models and motion, with a few rays for what each frame shows; with a
+reference once more, drawing and comparing one frame at a time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from itertools import islice, zip_longest
 from typing import Any, BinaryIO, TypeAlias
 
 from threedvc.camera import CameraRig
@@ -26,12 +25,17 @@ from threedvc.errors import FormatError, TruncatedStream
 from threedvc.formats.api import DecodedFrame, DecodedStream, errors_named, open_stream
 from threedvc.formats.comparison import Comparison, check_comparable, paired
 from threedvc.formats.container import StreamReader
+from threedvc.formats.course import BACKGROUND, Course
+from threedvc.formats.object_comparison import ObjectQuality, SpuriousObject
 from threedvc.formats.sources import open_sequence
+from threedvc.formats.spans import Span, spans_of
 from threedvc.formats.tally import PacketTotal, Tally
+from threedvc.formats.visibility import Lookout
 from threedvc.frame import NANOSECONDS, FrameSequence
-from threedvc.metrics import PaperAccounting, TrajectoryError
+from threedvc.metrics import PaperAccounting
 from threedvc.packets import StreamHeader
-from threedvc.report import StreamReport
+from threedvc.pose import Pose, quaternion
+from threedvc.trajectory import TrajectoryError, Travel
 
 __all__ = [
     "FrameStatistics",
@@ -43,24 +47,64 @@ __all__ = [
 STANDARD_INPUT = "-"
 DEPTH_BYTES = 2
 PICTURES = frozenset({"color", "depth"})
+NAMED = ("relocalised", "weak", "lost")
+"""Statuses whose frames are named one by one."""
 
 StreamSource: TypeAlias = str | os.PathLike[str] | BinaryIO
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectStatistics:
-    """One object of the stream: its cells at the end, its bytes, and the frames that carry a pose for it."""
+    """One object of the stream.
+
+    Attributes
+    ----------
+    id
+        Its number; 0 is the background.
+    cells, voxel_size_m, bytes
+        Cells at the end, their edge, and what packets of the object alone take.
+    poses
+        Number of frames that carry a pose for it.
+    guessed
+        Whether it only fills holes of the background, in colour.
+    spans
+        Frames in which it is visible, see `threedvc.formats.visibility`.
+    birth, death
+        First and last of these; None if there are none, and `death` also if it is visible in the last frame.
+    travel
+        How far the middle of its cells went in the world from its birth on; None for the background and for what is
+        never visible.
+    """
 
     id: int
     cells: int
     voxel_size_m: float
     bytes: int
     poses: int
+    guessed: bool = False
+    spans: tuple[Span, ...] = ()
+    birth: int | None = None
+    death: int | None = None
+    travel: Travel | None = None
+
+    @property
+    def background(self) -> bool:
+        """Whether it is the background, whose frame is the world."""
+        return self.id == BACKGROUND
+
+    @property
+    def visible_frames(self) -> int:
+        """Number of frames in which it is visible."""
+        return sum(span.last - span.first + 1 for span in self.spans)
+
+    def to_map(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        return asdict(self) | {"background": self.background, "visible_frames": self.visible_frames}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class FrameStatistics:
-    """One frame: its share of the stream, and its quality where there is a reference.
+    """One frame: its share of the stream, what it shows, and its quality where there is a reference.
 
     Attributes
     ----------
@@ -68,6 +112,10 @@ class FrameStatistics:
         Number and time.
     bytes
         Bytes sent for the frame; packets of several frames are divided evenly.
+    T_world_camera
+        Pose of the depth camera.
+    visible_objects
+        Number of objects that it shows, without the background and what is guessed.
     entropy_bits, status
         Entropy of the encoder's models after the frame, and how its pose was found; None where the
         stream does not say.
@@ -78,6 +126,8 @@ class FrameStatistics:
     frame: int
     timestamp_ns: int
     bytes: int
+    T_world_camera: Pose
+    visible_objects: int
     entropy_bits: float | None = None
     status: str | None = None
     quality: Mapping[str, float] = field(default_factory=dict)
@@ -106,8 +156,14 @@ class StreamStatistics:
     paper
         Equations (8) to (10); M and F_m sum over the objects that move, which the background does when
         the camera does.
+    travel
+        How far the camera went; None without frames.
     camera, object_motion
-        Error of the camera's trajectory, and of the camera's trajectory in the frame of each object.
+        Error of the camera's trajectory, and of the camera's trajectory in the frame of each object. All frames
+        count whose true pose is known, those also in which the encoder had lost an object.
+    reference_objects, spurious_objects
+        How well the objects of the reference were found, and objects that are none of these, see
+        `threedvc.formats.object_comparison`; None where the reference has nothing to tell by.
     quality
         Measures over all frames; None without a reference.
     """
@@ -121,8 +177,11 @@ class StreamStatistics:
     objects: Sequence[ObjectStatistics]
     per_frame: Sequence[FrameStatistics]
     paper: PaperAccounting
+    travel: Travel | None = None
     camera: TrajectoryError | None = None
     object_motion: Mapping[int, TrajectoryError] = field(default_factory=dict)
+    reference_objects: Sequence[ObjectQuality] | None = None
+    spurious_objects: Sequence[SpuriousObject] | None = None
     quality: Mapping[str, float] | None = None
 
     @property
@@ -145,6 +204,17 @@ class StreamStatistics:
         """Number of frames by the status of their pose."""
         return dict(Counter(item.status for item in self.per_frame if item.status is not None))
 
+    @property
+    def status_spans(self) -> dict[str, tuple[Span, ...]]:
+        """Frames whose pose was weak, lost, or found again after it was lost, by status; only those that occur."""
+        spans = {name: spans_of(item.frame for item in self.per_frame if item.status == name) for name in NAMED}
+        return {name: frames for name, frames in spans.items() if frames}
+
+    @property
+    def object_count(self) -> int:
+        """Number of objects, without the background and what is guessed."""
+        return sum(not item.background and not item.guessed for item in self.objects)
+
     def to_map(self) -> dict[str, Any]:
         """Return the report as plain values; a number that is not finite becomes None."""
         report: dict[str, Any] = {
@@ -157,7 +227,8 @@ class StreamStatistics:
             "raw_bytes": self.raw_bytes,
             "ratio": self.ratio,
             "packets": {name: asdict(total) for name, total in self.packets.items()},
-            "objects": [asdict(item) for item in self.objects],
+            "object_count": self.object_count,
+            "objects": [item.to_map() for item in self.objects],
             "bytes_per_frame": [item.bytes for item in self.per_frame],
             "entropy_bits": [item.entropy_bits for item in self.per_frame if item.entropy_bits is not None],
             "trajectory": self._trajectory_map(),
@@ -169,6 +240,9 @@ class StreamStatistics:
                 "ratio": self.paper.ratio,
             },
         }
+        for name in ("reference_objects", "spurious_objects"):
+            if (items := getattr(self, name)) is not None:
+                report[name] = [asdict(item) for item in items]
         if self.quality is not None:
             report["quality"] = dict(self.quality)
         return {name: _finite(value) for name, value in report.items()}
@@ -178,7 +252,13 @@ class StreamStatistics:
         return json.dumps(self.to_map(), indent=1)
 
     def _trajectory_map(self) -> dict[str, Any]:
-        report: dict[str, Any] = {"status": self.status}
+        report: dict[str, Any] = {
+            "status": self.status,
+            "spans": self.status_spans,
+            "lost_frames": self.status.get("lost", 0) if self.status else None,
+            "travel": None if self.travel is None else asdict(self.travel),
+            "poses": [_position_and_turn(item.T_world_camera) for item in self.per_frame],
+        }
         if self.camera is not None:
             report |= asdict(self.camera)
         if self.object_motion:
@@ -186,10 +266,15 @@ class StreamStatistics:
         return report
 
 
+def _position_and_turn(pose: Pose) -> list[float]:
+    """Return tx, ty, tz in metres and qx, qy, qz, qw."""
+    return [float(value) for value in (*pose[:3, 3], *quaternion(pose[:3, :3]))]
+
+
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _finite(item) for name, item in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
@@ -251,39 +336,53 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def _report(file: BinaryIO, name: str) -> StreamStatistics:
-    tally, decoder, times = Tally(), Decoder(), []
+    tally, decoder, course = Tally(), Decoder(), Course()
+    lookout: Lookout | None = None
     packets = tally.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):
         for state in decoder.frames(packets):
-            times.append(state.timestamp_ns)
+            if lookout is None:
+                assert decoder.header is not None
+                lookout = Lookout(rig_of(decoder.header))
+            course.add(state, lookout.visible(decoder.models, state.T_camera_object))
     if decoder.header is None:
         raise TruncatedStream(f"{name}: ends before its STREAM packet; nothing can be reported")
     file_bytes = file.seek(0, os.SEEK_END)
-    objects = _objects(tally, decoder)
+    objects, frames = _objects(tally, decoder, course), len(course.times_ns)
     return StreamStatistics(
         name=decoder.header.name,
         complete=decoder.complete,
         file_bytes=file_bytes,
-        duration_s=len(times) * decoder.header.period_num / decoder.header.period_den / NANOSECONDS,
-        raw_bytes=len(times) * _raw_frame_bytes(decoder.header),
+        duration_s=frames * decoder.header.period_num / decoder.header.period_den / NANOSECONDS,
+        raw_bytes=frames * _raw_frame_bytes(decoder.header),
         packets=tally.packets,
         objects=objects,
-        per_frame=_per_frame(times, tally.frame_bytes(len(times), file_bytes), decoder.report),
-        paper=_paper(objects, len(times), rig_of(decoder.header)),
+        per_frame=_per_frame(course, decoder, tally.frame_bytes(frames, file_bytes)),
+        paper=_paper(objects, frames, rig_of(decoder.header)),
+        travel=course.camera_travel(),
     )
 
 
-def _objects(tally: Tally, decoder: Decoder) -> list[ObjectStatistics]:
-    return [
-        ObjectStatistics(
-            id=number,
-            cells=model.cell_count,
-            voxel_size_m=model.voxel_size_m,
-            bytes=tally.object_bytes[number],
-            poses=tally.poses[number],
+def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStatistics]:
+    objects = []
+    for number, model in sorted(decoder.models.items()):
+        spans = course.spans(number)
+        ended = bool(spans) and spans[-1].last < len(course.times_ns) - 1
+        objects.append(
+            ObjectStatistics(
+                id=number,
+                cells=model.cell_count,
+                voxel_size_m=model.voxel_size_m,
+                bytes=tally.object_bytes[number],
+                poses=tally.poses[number],
+                guessed=model.guessed,
+                spans=spans,
+                birth=spans[0].first if spans else None,
+                death=spans[-1].last if ended else None,
+                travel=course.object_travel(number, model),
+            )
         )
-        for number, model in sorted(decoder.models.items())
-    ]
+    return objects
 
 
 def _raw_frame_bytes(header: StreamHeader) -> int:
@@ -303,13 +402,22 @@ def _paper(objects: Sequence[ObjectStatistics], frames: int, rig: CameraRig) -> 
     )
 
 
-def _per_frame(times: Sequence[int], sizes: Sequence[int], report: StreamReport | None) -> list[FrameStatistics]:
-    entropies, status = (report.entropy_bits, report.status) if report is not None else ((), ())
+def _per_frame(course: Course, decoder: Decoder, sizes: Sequence[int]) -> list[FrameStatistics]:
+    told, counts = decoder.report, course.counts(decoder.models)
+    frames = range(len(course.times_ns))
+    entropies = dict(zip(frames, told.entropy_bits, strict=False))
+    status = dict(zip(frames, told.status, strict=False))
     return [
-        FrameStatistics(frame=frame, timestamp_ns=time, bytes=size, entropy_bits=bits, status=outcome)
-        for frame, (time, size, bits, outcome) in enumerate(
-            islice(zip_longest(times, sizes, entropies, status), len(times))
+        FrameStatistics(
+            frame=frame,
+            timestamp_ns=course.times_ns[frame],
+            bytes=sizes[frame],
+            T_world_camera=course.T_world_camera[frame],
+            visible_objects=counts[frame],
+            entropy_bits=entropies.get(frame),
+            status=status.get(frame),
         )
+        for frame in frames
     ]
 
 
@@ -336,6 +444,8 @@ def _compared(
         report,
         per_frame=[replace(frame, quality=quality) for frame, quality in frames],
         camera=comparison.camera(),
-        object_motion=comparison.object_motion(),
+        object_motion=comparison.objects.motion(),
+        reference_objects=comparison.objects.reference(),
+        spurious_objects=comparison.objects.spurious(),
         quality=comparison.quality(),
     )

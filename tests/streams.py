@@ -34,11 +34,11 @@ from threedvc.packets import (
     StreamHeader,
     pack_batch,
 )
-from threedvc.pose import Pose
+from threedvc.pose import Pose, make_pose
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 
-__all__ = ["FRAMES", "INFO", "FakeStream", "ListSequence", "drawn", "gradient_frame", "packed_stream"]
+__all__ = ["FRAMES", "INFO", "FakeStream", "ListSequence", "drawn", "gradient_frame", "packed_stream", "roaming_stream"]
 
 FRAMES = 4
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
@@ -53,20 +53,14 @@ REPORTS = [
 ]
 
 
-def cells_update(count: int) -> ModelUpdate:
-    """Return an update that adds a row of grey cells to an empty model."""
+def row_of_cells(count: int) -> NDArray[np.int32]:
+    """Return cells (n, 3) side by side."""
     cells = np.zeros((count, 3), dtype=np.int32)
     cells[:, 0] = np.arange(count)
-    return ModelUpdate(
-        added=cells,
-        added_colors=np.full((count, 3), 90, dtype=np.int16),
-        removed=np.empty((0, 3), dtype=np.int32),
-        recolored=np.empty((0, 3), dtype=np.int32),
-        recolored_colors=np.empty((0, 3), dtype=np.int16),
-    )
+    return cells
 
 
-def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = False) -> bytes:
+def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = False, reported: bool = True) -> bytes:
     """Return a stream of two batches of two frames: object 0 (300 cells) stands, object 1 (125 cells) moves."""
     sink = io.BytesIO()
     writer = StreamWriter(sink)
@@ -86,23 +80,54 @@ def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = Fal
     first = [
         ObjectHeader(object_id=0, voxel_size_m=0.02).packet(),
         ObjectHeader(object_id=1, voxel_size_m=0.01).packet(),
-        ModelHeader(object_id=0, frame=0).packet(_applied(models[0], 300)),
-        ModelHeader(object_id=1, frame=1).packet(_applied(models[1], 125)),
+        ModelHeader(object_id=0, frame=0).packet(_applied(models[0], row_of_cells(300))),
+        ModelHeader(object_id=1, frame=1).packet(_applied(models[1], row_of_cells(125))),
         PoseHeader(object_id=1, frame=0, count=2).packet(coder.encode([toy_pose(0), toy_pose(1)])),
     ]
     writer.write(pack_batch(BatchHeader(frame=0, count=2), first))
     second = [PoseHeader(object_id=1, frame=2, count=2).packet(coder.encode([toy_pose(2), toy_pose(3)]))]
     writer.write(pack_batch(BatchHeader(frame=2, count=2), second))
     if ended:
-        writer.write(report_packet(REPORTS))
+        if reported:
+            writer.write(report_packet(REPORTS))
         digest = bytes(16) if drifted else models_digest(models)
         writer.write(EndHeader(frames=FRAMES, digest=digest).packet())
     return sink.getvalue()
 
 
-def _applied(model: DecodedModel, count: int) -> bytes:
+def roaming_stream(places_m: Sequence[float], *, ended: bool = True) -> bytes:
+    """Return a stream of a wall 2 m ahead and of a cube of 0.3 m, 1 m ahead, that is this far right in each frame.
+
+    The camera sees half a metre to each side there.
+    """
+    sink = io.BytesIO()
+    writer = StreamWriter(sink)
+    camera = (CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 0, 0, 0, 0, 0)
+    stream = StreamHeader(
+        color_camera=camera, depth_scale=1000.0, period_num=PERIOD_NS, translation_step_m=STEP, rotation_step_rad=STEP
+    )
+    writer.write(stream.packet())
+    models = {0: DecodedModel(0.1), 1: DecodedModel(0.05)}
+    wall = np.array([(x, y, 20) for x in range(-15, 15) for y in range(-15, 15)], dtype=np.int32)
+    cube = np.array([(x, y, z) for x in range(-3, 3) for y in range(-3, 3) for z in range(-3, 3)], dtype=np.int32)
+    poses = [make_pose(np.eye(3), np.array([x, 0, 1])) for x in places_m]
+    members = [
+        ObjectHeader(object_id=0, voxel_size_m=0.1).packet(),
+        ObjectHeader(object_id=1, voxel_size_m=0.05).packet(),
+        ModelHeader(object_id=0, frame=0).packet(_applied(models[0], wall)),
+        ModelHeader(object_id=1, frame=0).packet(_applied(models[1], cube)),
+        PoseHeader(object_id=1, frame=0, count=len(poses)).packet(PoseCoder(STEP, STEP).encode(poses)),
+    ]
+    writer.write(pack_batch(BatchHeader(frame=0, count=len(poses)), members))
+    if ended:
+        writer.write(EndHeader(frames=len(poses), digest=models_digest(models)).packet())
+    return sink.getvalue()
+
+
+def _applied(model: DecodedModel, added: NDArray[np.int32]) -> bytes:
     cells, colors = model.cells()
-    payload, decoded = encode_update_with_result(cells_update(count), cells, colors, ColorSettings())
+    update = ModelUpdate.adding(added, np.full((len(added), 3), 90, dtype=np.int16))
+    payload, decoded = encode_update_with_result(update, cells, colors, ColorSettings())
     model.apply(decoded)
     return payload
 
@@ -162,7 +187,7 @@ class FakeDecodedFrame:
 
 
 class FakeStream:
-    """Stands for an opened stream: reads the real packets and draws gradients instead of models."""
+    """Stands for an opened stream: reads the real packets and draws gradients, as object 1, instead of models."""
 
     changes: Mapping[str, int] = {}
 
@@ -186,7 +211,7 @@ class FakeStream:
             timestamp_ns=frame.timestamp_ns,
             color=frame.color,
             depth=frame.depth,
-            labels=np.zeros(frame.depth.shape, dtype=np.uint8),
+            labels=np.ones(frame.depth.shape, dtype=np.uint8),
             T_world_camera=frame.T_world_camera,
             T_camera_object=frame.T_camera_object,
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How good a decoded sequence is, and what a model weighs: the one definition of every measure.
+"""How good decoded pictures are, and what a model weighs: the one definition of each measure.
 
 Colour is measured over all pixels and averaged over frames. Depth is measured in units of the
 16-bit depth pictures: errors are then whole numbers, so that one histogram gives the exact median,
@@ -18,15 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from threedvc.kernels.metrics import sum_ssim
 from threedvc.parallel import default_threads, for_ranges
-from threedvc.pose import Pose, inverse, make_pose, rotation_angle
 
 __all__ = [
     "MAX_PSNR_DB",
     "ColorQuality",
     "DepthErrors",
     "PaperAccounting",
-    "TrajectoryError",
-    "aligning_pose",
     "bernoulli_entropy_bits",
     "depth_units",
     "gaussian_entropy_bits",
@@ -35,7 +32,6 @@ __all__ = [
     "psnr",
     "psnr_y",
     "ssim_y",
-    "trajectory_error",
 ]
 
 MAX_PSNR_DB = 99.0
@@ -308,64 +304,3 @@ class PaperAccounting:
     def ratio(self) -> float:
         """N of the compression 1:N, the inverse of C in eq. (10); infinite when nothing is sent."""
         return self.raw_bytes / self.coded_bytes if self.coded_bytes else float("inf")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrajectoryError:
-    """How far an estimated trajectory is from the true one.
-
-    Attributes
-    ----------
-    frames
-        Number of poses compared.
-    ate_rmse_mm, ate_max_mm
-        Absolute trajectory error: distance of positions after a rigid alignment without scale.
-    rpe_translation_mm, rpe_rotation_deg
-        Relative pose error from one pose to the next, root mean square; 0 for a single pose.
-    """
-
-    frames: int
-    ate_rmse_mm: float
-    ate_max_mm: float
-    rpe_translation_mm: float
-    rpe_rotation_deg: float
-
-
-def aligning_pose(reference: NDArray[np.float64], estimate: NDArray[np.float64]) -> Pose:
-    """Return the rigid ``T_reference_estimate`` that best maps points (n, 3) onto their partners (n, 3).
-
-    Least squares without scale (Horn 1987, Umeyama 1991). Points on a line or in one place leave
-    the rotation free; one that fits is returned.
-    """
-    center_r, center_e = reference.mean(axis=0), estimate.mean(axis=0)
-    u, _, vt = np.linalg.svd((reference - center_r).T @ (estimate - center_e))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return make_pose(rotation, center_r - rotation @ center_e)
-
-
-def trajectory_error(reference: Sequence[Pose], estimate: Sequence[Pose]) -> TrajectoryError:
-    """Compare two trajectories of T_world_camera whose worlds may differ by a rigid transform.
-
-    Parameters
-    ----------
-    reference, estimate
-        Poses of the same frames, at least one.
-    """
-    true, found = np.array(reference), np.array(estimate)
-    align = aligning_pose(true[:, :3, 3], found[:, :3, 3])
-    distances = np.linalg.norm(found[:, :3, 3] @ align[:3, :3].T + align[:3, 3] - true[:, :3, 3], axis=1)
-    steps = [_step_error(true[k], true[k + 1], found[k], found[k + 1]) for k in range(len(true) - 1)]
-    translation, rotation = np.sqrt(np.mean(np.square(steps or [(0.0, 0.0)]), axis=0))
-    return TrajectoryError(
-        frames=len(true),
-        ate_rmse_mm=1000 * float(np.sqrt(np.mean(distances**2))),
-        ate_max_mm=1000 * float(distances.max()),
-        rpe_translation_mm=1000 * float(translation),
-        rpe_rotation_deg=float(np.degrees(rotation)),
-    )
-
-
-def _step_error(true: Pose, true_next: Pose, found: Pose, found_next: Pose) -> tuple[float, float]:
-    step, step_found = inverse(true) @ true_next, inverse(found) @ found_next
-    error = inverse(step) @ step_found
-    return float(np.linalg.norm(error[:3, 3])), rotation_angle(error)

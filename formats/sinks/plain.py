@@ -27,11 +27,12 @@ from numpy.typing import NDArray
 
 from threedvc.camera import Camera
 from threedvc.errors import ConfigError, OutputError, SequenceError, ThreedvcError
+from threedvc.formats.sinks.poses import pose_lines
 from threedvc.formats.sources.text import read_json
 from threedvc.formats.sources.timestamps import regular_stamp
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.parallel import default_threads
-from threedvc.pose import Pose, quaternion
+from threedvc.pose import Pose
 
 __all__ = ["PARTS", "PlainSink"]
 
@@ -241,11 +242,7 @@ class PlainSink:
     def _write_poses(self) -> None:
         if not any(frame.T_world_camera is not None for frame in self._written):
             return
-        lines = ["# frame tx ty tz qx qy qz qw, T_world_camera, metres"]
-        for frame in self._written:
-            pose = frame.T_world_camera
-            values = [] if pose is None else [*pose[:3, 3], *quaternion(pose[:3, :3])]
-            lines.append(" ".join([str(frame.index), *(f"{value:.12f}" for value in values)]))
+        lines = pose_lines((frame.index, frame.T_world_camera) for frame in self._written)
         _write_text(self._folder / "poses.txt", lines)
 
     def _write_object_poses(self) -> None:

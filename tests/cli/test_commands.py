@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 import threedvc
-from streams import FRAMES, FakeStream, ListSequence, packed_stream
+from streams import FRAMES, FakeStream, ListSequence, packed_stream, roaming_stream
 from threedvc.cli.encode import LAYOUTS, SENSORS
 from threedvc.cli.main import main
 from threedvc.config import Motion, SegmentationMode, Sensor
@@ -27,7 +27,7 @@ from threedvc.errors import OutputError, RegistrationFailed
 from threedvc.formats import api
 from threedvc.formats import statistics as statistics_module
 from threedvc.formats.sinks import PlainSink
-from threedvc.formats.sources import layout_names
+from threedvc.formats.sources import layout_names, open_sequence
 
 
 def run(*arguments: object, **options: Any) -> Result:
@@ -334,6 +334,44 @@ class TestStats:
         assert sum(int(row["bytes"]) for row in rows) == stream.stat().st_size
         assert [float(row["psnr_rgb"]) for row in rows] == [99.0] * 4
         assert {row["timestamp_ns"] for row in rows} == {"0", "50000000", "100000000", "150000000"}
+        assert [row["camera_x_m"] for row in rows] == ["0.0"] * 4
+
+    def test_trajectory_is_input_again(self, stream: Path, recording: Path, tmp_path: Path) -> None:
+        poses = tmp_path / "poses.txt"
+        assert run("stats", stream, "--trajectory", poses).exit_code == 0
+        assert poses.read_text().splitlines()[1] == f"0 {' '.join(['0.000000000000'] * 6)} 1.000000000000"
+        poses.replace(recording / "poses.txt")
+        frames = list(open_sequence(recording))
+        assert [np.array_equal(frame.T_world_camera, np.eye(4)) for frame in frames] == [True] * FRAMES
+
+    def test_lives_of_objects(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.3dvc"
+        path.write_bytes(roaming_stream([5, 0, 0.1, 5, 0, 5]))
+        table = tmp_path / "frames.csv"
+        rows = [" ".join(line.split()) for line in run("stats", path, "--per-frame", table).stdout.splitlines()]
+        assert "0 background 6 - - 0-5" in rows
+        assert "1 3 5.000 m 0 deg 1-2, 4" in rows
+        assert "number of objects 1, at most 1 at once, the background apart" in rows
+        assert {"births frame 1: object 1", "deaths frame 4: object 1", "path the camera is at rest"} <= set(rows)
+        counts = [row["visible_objects"] for row in csv.DictReader(table.read_text().splitlines())]
+        assert counts == ["0", "1", "1", "0", "1", "0"]
+
+    def test_frames_of_note_and_objects_of_the_reference(
+        self, fake_decoder: list[FakeStream], stream: Path, recording: Path
+    ) -> None:
+        lines = run("stats", stream, "--reference", recording).stdout.splitlines()
+        rows = {" ".join(line.split()) for line in lines}
+        assert {"lost frames 3", "over all 4 frames with a known pose; lost in the stream: 1"} <= rows
+        assert any(row.startswith("object 1 ATE 0.0 mm") for row in rows)
+        # There are no masks, so no overlap is known.
+        assert "1 1 0 - 0 - 0.00 0.00 0.00 0.0 0.0 0.0" in rows
+
+    def test_long_lists_are_wrapped(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.3dvc"
+        path.write_bytes(roaming_stream([0, 5] * 30))
+        lines = run("stats", path).stdout.splitlines()
+        assert max(map(len, lines)) <= 100
+        assert any(line.endswith(" 58") and line.startswith(40 * " ") for line in lines)
 
     @pytest.mark.parametrize(("suffix", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
     def test_plot(self, stream: Path, tmp_path: Path, suffix: str, magic: bytes) -> None:

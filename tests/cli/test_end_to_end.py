@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -40,6 +41,42 @@ def test_statistics_of_a_real_stream(place: Path) -> None:
     assert values["quality"]["psnr_rgb"] > 15
     assert values["quality"]["depth_lost"] < 0.1
     assert values["trajectory"]["objects"]["1"]["ate_rmse_mm"] < 5
+
+
+def test_objects_of_a_real_stream(place: Path) -> None:
+    result = run("stats", place / "a.3dvc", "--reference", place / "toys", "--json")
+    values = json.loads(result.stdout)
+    (toy,) = values["reference_objects"]
+    assert (toy["label"], toy["number"], toy["frames"], values["spurious_objects"]) == (1, 1, 6, [])
+    assert toy["iou"] > 0.8
+    assert toy["pose"]["frames"] == 6
+    assert toy["pose"]["rotation_max_deg"] < 3
+    assert toy["pose"]["translation_max_mm"] < 5
+    (life,) = [item for item in values["objects"] if item["id"] == 1]
+    assert (life["spans"], life["birth"], life["death"]) == ([[0, 5]], 0, None)
+    assert values["trajectory"]["travel"]["length_m"] == 0
+
+
+def test_a_stream_that_knows_no_objects(place: Path) -> None:
+    flat = place / "flat.3dvc"
+    assert run("encode", place / "toys", flat, "--segment", "none", "--voxel-size", "2cm").exit_code == 0
+    values = json.loads(run("stats", flat, "--reference", place / "toys", "--json").stdout)
+    (toy,) = values["reference_objects"]
+    assert (toy["number"], toy["iou"], toy["pose"]) == (None, 0, None)
+    assert (values["object_count"], values["spurious_objects"]) == (0, [])
+
+
+def test_trajectory_of_a_moving_camera(tmp_path: Path) -> None:
+    assert run("synth", tmp_path / "room", "--scene", "room", "--frames", "5", "--size", "96x72").exit_code == 0
+    options = ["--motion", "known", "--voxel-size", "4cm", "--preset", "fast"]
+    assert run("encode", tmp_path / "room", tmp_path / "a.3dvc", *options).exit_code == 0
+    result = run("stats", tmp_path / "a.3dvc", "--reference", tmp_path / "room", "--trajectory", tmp_path / "t.txt")
+    assert result.exit_code == 0, result.stderr
+    assert "over all 5 frames with a known pose; lost in the stream: 0" in result.stdout
+    true, found = (np.loadtxt(path) for path in (tmp_path / "room" / "poses.txt", tmp_path / "t.txt"))
+    assert found[:, 0].tolist() == true[:, 0].tolist() == [0, 1, 2, 3, 4]
+    # Poses are fitted to pictures of few pixels and coarse cells.
+    np.testing.assert_allclose(found, true, atol=0.02)
 
 
 def test_decoded_folder_is_what_the_stream_is_measured_by(place: Path) -> None:

@@ -17,7 +17,6 @@ from threedvc.metrics import (
     ColorQuality,
     DepthErrors,
     PaperAccounting,
-    aligning_pose,
     bernoulli_entropy_bits,
     depth_units,
     gaussian_entropy_bits,
@@ -26,9 +25,7 @@ from threedvc.metrics import (
     psnr,
     psnr_y,
     ssim_y,
-    trajectory_error,
 )
-from threedvc.pose import Pose, inverse, make_pose, rotation_from_vector
 
 SMALL = st.integers(0, 2**32 - 1)
 
@@ -202,53 +199,3 @@ class TestPaper:
 
     def test_nothing_sent(self) -> None:
         assert PaperAccounting(cells=0, pose_frames=0, frames=1).ratio == math.inf
-
-
-def random_walk(rng: np.random.Generator, count: int = 20) -> list[Pose]:
-    poses = [np.eye(4)]
-    for _ in range(count - 1):
-        poses.append(poses[-1] @ make_pose(rotation_from_vector(rng.normal(0, 0.05, 3)), rng.normal(0, 0.02, 3)))
-    return poses
-
-
-def some_pose(rng: np.random.Generator) -> Pose:
-    return make_pose(rotation_from_vector(rng.normal(0, 1, 3)), rng.normal(0, 2, 3))
-
-
-class TestTrajectory:
-    @given(SMALL)
-    def test_another_world_frame_is_no_error(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        walk, moved = random_walk(rng), some_pose(rng)
-        error = trajectory_error(walk, [moved @ pose for pose in walk])
-        assert (error.ate_rmse_mm, error.ate_max_mm, error.rpe_translation_mm) == pytest.approx((0, 0, 0), abs=1e-6)
-        assert error.rpe_rotation_deg == pytest.approx(0, abs=1e-5)
-
-    def test_alignment_finds_the_transform_and_never_mirrors(self, rng: np.random.Generator) -> None:
-        wanted = some_pose(rng)
-        points = rng.normal(0, 1, (10, 3)) * [1, 1, 1e-4]
-        found = aligning_pose(points @ wanted[:3, :3].T + wanted[:3, 3], points)
-        assert np.allclose(found, wanted, atol=1e-6)
-        assert np.linalg.det(aligning_pose(points * [1, 1, -1], points)[:3, :3]) == pytest.approx(1)
-
-    def test_scale_is_an_error(self) -> None:
-        line = [make_pose(np.eye(3), np.array([0.1 * k, 0, 0])) for k in range(3)]
-        double = [make_pose(np.eye(3), np.array([0.2 * k, 0, 0])) for k in range(3)]
-        error = trajectory_error(line, double)
-        assert error.ate_max_mm == pytest.approx(100)
-        assert error.ate_rmse_mm == pytest.approx(1000 * math.sqrt(0.02 / 3))
-        assert error.rpe_translation_mm == pytest.approx(100)
-
-    def test_rotation_error_of_a_step(self) -> None:
-        still = [np.eye(4)] * 3
-        turning = [
-            make_pose(rotation_from_vector(np.array([0, 0, math.radians(2 * k)])), np.zeros(3)) for k in range(3)
-        ]
-        error = trajectory_error(still, turning)
-        assert error.rpe_rotation_deg == pytest.approx(2)
-        assert error.ate_rmse_mm == pytest.approx(0)
-
-    def test_single_pose(self, rng: np.random.Generator) -> None:
-        error = trajectory_error([some_pose(rng)], [inverse(some_pose(rng))])
-        assert (error.frames, error.rpe_translation_mm, error.rpe_rotation_deg) == (1, 0, 0)
-        assert error.ate_rmse_mm == pytest.approx(0, abs=1e-9)

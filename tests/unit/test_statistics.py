@@ -6,13 +6,14 @@ from __future__ import annotations
 import io
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from streams import FRAMES, INFO, FakeStream, ListSequence, gradient_frame, packed_stream
+from streams import FRAMES, INFO, FakeStream, ListSequence, gradient_frame, packed_stream, roaming_stream
 from threedvc.camera import Camera, CameraRig
 from threedvc.errors import BadMagic, CorruptStream, FormatError, SequenceError
 from threedvc.formats import statistics as module
@@ -23,7 +24,7 @@ from threedvc.packets import BatchHeader, DepthHeader, ModelHeader, PoseHeader
 
 KEYS = {
     "name", "complete", "file_bytes", "frames", "duration_s", "kbit_s", "raw_bytes", "ratio", "packets", "objects",
-    "bytes_per_frame", "entropy_bits", "trajectory", "paper",
+    "object_count", "bytes_per_frame", "entropy_bits", "trajectory", "paper",
 }  # fmt: skip
 QUALITY = {
     "psnr_rgb", "psnr_y", "ssim_y", "depth_rmse_mm", "depth_median_mm", "depth_within_10mm", "depth_within_1pct",
@@ -92,7 +93,7 @@ class TestTally:
 class TestReport:
     def test_json_has_every_key(self, tmp_path: Path) -> None:
         values = json.loads(report(ListSequence()).to_json())
-        assert set(values) == KEYS | {"quality"}
+        assert set(values) == KEYS | {"quality", "reference_objects"}
         assert set(values["quality"]) == QUALITY
         assert set(values["paper"]) == {"M", "F_m", "S_3dvc", "S_raw", "ratio"}
         assert all(set(total) == {"count", "bytes"} for total in values["packets"].values())
@@ -113,6 +114,23 @@ class TestReport:
         first, second = report().objects
         assert (first.id, first.cells, first.voxel_size_m, first.poses) == (0, 300, 0.02, 0)
         assert (second.id, second.cells, second.voxel_size_m, second.poses) == (1, 125, 0.01, 4)
+
+    def test_path_of_the_camera(self) -> None:
+        found = report()
+        assert found.travel is not None
+        assert (found.travel.length_m, found.travel.turn_deg) == (0, 0)
+        assert json.loads(found.to_json())["trajectory"]["poses"] == [[0, 0, 0, 0, 0, 0, 1]] * FRAMES
+
+    def test_frames_of_note_are_named(self) -> None:
+        assert report().status_spans == {"lost": ((3, 3),)}
+        trajectory = json.loads(report().to_json())["trajectory"]
+        assert (trajectory["spans"], trajectory["lost_frames"]) == ({"lost": [[3, 3]]}, 1)
+
+    def test_stream_without_a_report(self) -> None:
+        found = statistics(io.BytesIO(packed_stream(reported=False)))
+        assert (found.status, found.status_spans) == ({}, {})
+        assert all(frame.status is None and frame.entropy_bits is None for frame in found.per_frame)
+        assert json.loads(found.to_json())["trajectory"]["lost_frames"] is None
 
     def test_paper_counts_what_moves(self) -> None:
         paper = report().paper
@@ -175,6 +193,59 @@ class TestReport:
         assert json.loads(found.to_json())["entropy_bits"] == []
 
 
+class TestLives:
+    AWAY = 5.0
+
+    def lives(self, places_m: Sequence[float]) -> StreamStatistics:
+        return statistics(io.BytesIO(roaming_stream(places_m)))
+
+    def test_an_object_that_leaves_and_comes_back(self) -> None:
+        found = self.lives([self.AWAY, 0, 0.1, 0.2, self.AWAY, self.AWAY, 0, 0.1, self.AWAY])
+        assert found.object_count == 1
+        background, cube = found.objects
+        assert (background.background, background.travel, background.birth, background.death) == (True, None, 0, None)
+        assert (background.spans, background.visible_frames) == (((0, 8),), 9)
+        assert (cube.background, cube.guessed, cube.birth, cube.death) == (False, False, 1, 7)
+        assert (cube.spans, cube.visible_frames) == (((1, 3), (6, 7)), 5)
+        assert [frame.visible_objects for frame in found.per_frame] == [0, 1, 1, 1, 0, 0, 1, 1, 0]
+
+    def test_an_object_that_stays_is_not_dead(self) -> None:
+        cube = self.lives([0.0] * 6).objects[1]
+        assert (cube.birth, cube.death, cube.spans) == (0, None, ((0, 5),))
+
+    def test_an_object_that_is_back_at_the_end_is_not_dead(self) -> None:
+        cube = self.lives([0, self.AWAY, 0]).objects[1]
+        assert (cube.birth, cube.death, cube.spans) == (0, None, ((0, 0), (2, 2)))
+
+    def test_an_object_that_never_appears(self) -> None:
+        cube = self.lives([self.AWAY] * 3).objects[1]
+        assert (cube.birth, cube.death, cube.spans, cube.visible_frames, cube.travel) == (None, None, (), 0, None)
+
+    def test_how_far_it_moved(self) -> None:
+        travel = self.lives([0, 0.1, 0.3, 0.2]).objects[1].travel
+        assert travel is not None
+        assert (travel.length_m, travel.largest_distance_m, travel.turn_deg) == pytest.approx((0.4, 0.3, 0), abs=1e-6)
+
+    def test_one_frame(self) -> None:
+        found = self.lives([0.0])
+        assert (found.frames, found.objects[1].birth, found.objects[1].death) == (1, 0, None)
+        assert found.travel is not None
+        json.loads(found.to_json())
+
+    def test_cut_stream(self) -> None:
+        whole = roaming_stream([0, self.AWAY], ended=False)
+        found = statistics(io.BytesIO(whole[:-3]))
+        assert (found.complete, found.frames, found.objects) == (False, 0, [])
+        assert (found.travel, found.to_map()["trajectory"]["travel"]) == (None, None)
+        assert (statistics(io.BytesIO(whole)).frames, statistics(io.BytesIO(whole)).objects[1].death) == (2, 0)
+
+    def test_json(self) -> None:
+        background, cube = json.loads(self.lives([0, 0.1, self.AWAY]).to_json())["objects"]
+        assert (background["background"], background["birth"], background["death"]) == (True, 0, None)
+        assert (cube["spans"], cube["visible_frames"], cube["birth"], cube["death"]) == ([[0, 1]], 2, 0, 1)
+        assert cube["travel"]["largest_distance_m"] == pytest.approx(5)
+
+
 class TestQuality:
     def test_perfect(self) -> None:
         quality = report(ListSequence()).quality
@@ -205,7 +276,39 @@ class TestQuality:
         bare = [replace(frame, T_world_camera=None, T_camera_object={}) for frame in ListSequence().frames]
         found = report(ListSequence(bare))
         assert found.camera is None
-        assert set(json.loads(found.to_json())["trajectory"]) == {"status"}
+        assert (found.reference_objects, found.spurious_objects) == (None, None)
+        values = json.loads(found.to_json())
+        assert set(values) == KEYS | {"quality"}
+        assert set(values["trajectory"]) == {"status", "spans", "lost_frames", "travel", "poses"}
+
+    def test_masks_tell_which_objects_were_found(self) -> None:
+        frames = ListSequence().frames
+        mask = np.full(frames[0].depth.shape, 3, dtype=np.uint8)
+        mask[:3] = 0
+        poses = [{3: frame.T_camera_object[1]} for frame in frames]
+        changed = zip(frames, [mask, None, mask, mask], poses, strict=True)
+        found = report(ListSequence([replace(f, mask=m, T_camera_object=T) for f, m, T in changed]))
+        assert found.reference_objects is not None
+        (thing,) = found.reference_objects
+        assert (thing.label, thing.number, thing.frames, thing.iou) == (3, 1, 3, 0.75)
+        # The thing goes 5 cm a frame.
+        assert (thing.moved_frames, thing.moved_iou) == (2, 0.75)
+        assert thing.pose is not None
+        assert thing.pose.frames == FRAMES
+        assert thing.pose.translation_max_mm == pytest.approx(0, abs=1e-9)
+        assert list(found.object_motion) == [1]
+        values = json.loads(found.to_json())
+        assert values["spurious_objects"] == []
+        assert [item["label"] for item in values["reference_objects"]] == [3]
+
+    def test_an_object_where_the_reference_has_none_is_spurious(self) -> None:
+        bare = [
+            replace(frame, mask=np.zeros(frame.depth.shape, dtype=np.uint8), T_camera_object={})
+            for frame in ListSequence().frames
+        ]
+        values = json.loads(report(ListSequence(bare)).to_json())
+        assert values["reference_objects"] == []
+        assert values["spurious_objects"] == [{"number": 1, "frames": FRAMES, "spans": [[0, 3]]}]
 
     def test_nothing_to_measure_is_null(self) -> None:
         empty = [replace(frame, depth=np.zeros_like(frame.depth)) for frame in ListSequence().frames]
