@@ -35,9 +35,9 @@ MAX_LINKS = 12
 MIN_OVERLAP, MIN_INLIERS = 0.35, 0.6
 WITNESS = 100.0
 """Neighbouring samples are not independent; so many of them count as one."""
-BEST_RAD, BEST = 2e-3, 2e-3
+BEST_RAD, BEST = 1e-3, 1e-3
 """A link is no surer than this turn, and this shift in parts of the distance: sensors bend, shutters roll."""
-DRIFT_RAD, DRIFT = 1e-3, 1e-3
+DRIFT_RAD, DRIFT = 1.5e-3, 1.5e-3
 """What tracking drifts from one keyframe to the next, in turn and in shift in parts of the distance."""
 LEAST = 1e-3
 """Corrections below this turn, and this shift in parts of the distance, are not worth another pass."""
@@ -97,10 +97,11 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | 
             mask = segment(frame, scene.config.segmentation, scene.info) == 0
             keys.append(_View(number, scene.views(frame), mask, inverse(pose)))
     links = _links(keys, scene)
-    poses = optimised([key.T_world_camera for key in keys], links)
-    corrections = {
-        key.number: compose(pose, inverse(key.T_world_camera)) for key, pose in zip(keys, poses, strict=True)
-    }
+    before = [key.T_world_camera for key in keys]
+    after = zip(keys, optimised(before, links), strict=True)
+    corrections = {key.number: compose(pose, inverse(key.T_world_camera)) for key, pose in after}
+    if not any(_apart(motion, scene.distance_m, LEAST, LEAST) for motion in corrections.values()):
+        return None
     return corrected(found, corrections)
 
 

@@ -39,7 +39,9 @@ def drifting(true: list[Pose], error: Pose) -> list[Pose]:
 
 
 def distance(a: list[Pose], b: list[Pose]) -> float:
-    return max(float(np.linalg.norm(p[:3, 3] - q[:3, 3])) + rotation_angle(inverse(p) @ q) for p, q in zip(a, b))
+    return max(
+        float(np.linalg.norm(p[:3, 3] - q[:3, 3])) + rotation_angle(inverse(p) @ q) for p, q in zip(a, b, strict=True)
+    )
 
 
 def test_exact_links_bring_drifted_poses_back() -> None:
@@ -81,4 +83,5 @@ def test_without_links_nothing_moves(count: int) -> None:
 
 
 def test_twist_of_a_small_motion() -> None:
-    np.testing.assert_allclose(twist_of(motion((0.01, -0.02, 0.03), (1, 2, 3))), [0.01, -0.02, 0.03, 1, 2, 3], atol=1e-9)
+    twist = twist_of(motion((0.01, -0.02, 0.03), (1, 2, 3)))
+    np.testing.assert_allclose(twist, [0.01, -0.02, 0.03, 1, 2, 3], atol=1e-9)
