@@ -24,7 +24,7 @@ from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
 from threedvc.loop_closure import closed_loops
-from threedvc.motion import Located
+from threedvc.motion import Located, joined_parts
 from threedvc.packets import Packet, PacketType
 from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, inverse
@@ -117,6 +117,8 @@ class Encoder:
         if again and self.config.refine:
             self.scene.luma_weight = DOUBTED_LUMA
         self._fuse_all(frames, on_frame)
+        if again and self.config.refine:
+            self._join_parts(cast(FrameSequence, frames), on_frame)
         self._check_focus()
         finished = None
         if again:
@@ -225,6 +227,14 @@ class Encoder:
         self._choose_relief()
         return finish(self.scene, frames, shifts)
 
+    def _join_parts(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Bring the parts of models that recognised each other together."""
+        items = self.scene.objects.items()
+        bridges = {number: item.tracker.bridges for number, item in items if item.tracker and item.tracker.bridges}
+        if bridges:
+            script = {number: joined_parts(item.found, bridges.get(number, {})) for number, item in items}
+            self._fuse_again(frames, on_frame, script)
+
     def _calibrate(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
         """Calibrate the colour camera, and find all poses once more with what is then known.
 
@@ -240,6 +250,7 @@ class Encoder:
         elif tracked:
             self.scene = Scene(self.info, self.config)
             self._fuse_all(frames, on_frame)
+            self._join_parts(frames, on_frame)
         script = refined_script(self.scene, frames, TO_DEPTH if tracked and rig is not None else None)
         self._fuse_again(frames, on_frame, script)
 

@@ -22,22 +22,40 @@ from threedvc.registration import ModelView, Registration, RegistrationConfig, S
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
-__all__ = ["Located", "Script", "Tracker", "known_pose", "motion_of", "pose_between", "refined", "refound"]
+__all__ = [
+    "Located",
+    "Script",
+    "Tracker",
+    "joined_parts",
+    "known_pose",
+    "motion_of",
+    "pose_between",
+    "refined",
+    "refound",
+]
 
 SAME_SURFACE = 0.03
 DOUBTFUL = 0.75
 """A fit that falls to this part of the usual one may be a wrong place: the picture is asked."""
 USUAL = 0.9
+PART_CELLS = 4096
+"""Parts of a model lie so far apart: many times as far as cameras see, for cells are some pixels wide."""
+RETURN_FRAMES = 10
+"""In a new part, every so many frames are held against the others."""
 COAST_FRAMES = 5
 """A lost object goes on as it went for so many frames, then stays."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Located:
-    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak or lost."""
+    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak or lost.
+
+    The part is that of the model which it was found by, see `Tracker`.
+    """
 
     T_camera_object: Pose
     status: str
+    part: int = 0
 
     @property
     def usable(self) -> bool:
@@ -102,6 +120,10 @@ class Tracker:
     cells, and mix the shades that a turning object shows under a fixed light. Where that fails, the object is found
     again by keyframes, and what they say is registered.
 
+    Where it is not found again in time, a new part of its model begins, from where the object is thought to be but
+    moved far away in the object's own frame, so that nothing wrong is fused. When an earlier part is recognised, the
+    object is followed there again, and `bridges` tells how the parts lie to each other.
+
     Parameters
     ----------
     sensor
@@ -113,10 +135,23 @@ class Tracker:
         is, else against its local mean.
     luma_weight
         Weight of luma against depth.
+    patience
+        Frames in which an object may be lost before a new part of its model begins; 0: for ever.
+
+    Attributes
+    ----------
+    bridges
+        By part, the motion of its frame ``T_part_other`` to where the part recognised from it has it, and that part.
     """
 
     def __init__(
-        self, sensor: SensorModel, threads: int, *, lit_evenly: bool = False, luma_weight: float = 1.0
+        self,
+        sensor: SensorModel,
+        threads: int,
+        *,
+        lit_evenly: bool = False,
+        luma_weight: float = 1.0,
+        patience: int = 0,
     ) -> None:
         config = RegistrationConfig(luma_weight=luma_weight)
         if lit_evenly:
@@ -125,7 +160,9 @@ class Tracker:
         self._poses: list[Pose] = []
         self._resting = False
         self._usual = 0.0
-        self._lost = 0
+        self._patience, self._lost = patience, 0
+        self._part, self._parts, self._since_check = 0, 1, 0
+        self.bridges: dict[int, tuple[Pose, int]] = {}
         self._keyframes: Keyframes | None = None
         self._last: tuple[int, NDArray[np.float32], NDArray[np.float32]] | None = None
 
@@ -155,9 +192,17 @@ class Tracker:
             again = self._found_again(views, mask, model)
             if again is not None and again.agreement > found.agreement * (status is not Status.LOST):
                 found, status = again, Status.RELOCALISED
+            elif self._lost:
+                status = Status.LOST  # a poor fit elsewhere than expected is no find
         if status is Status.LOST:
-            return self._missed()
+            waits = not self._patience or self._lost < self._patience
+            return self._missed() if waits else self._begin_part(views, mask, model)
+        elsewhere = self._recognised(views, mask, model, found)
+        if elsewhere is not None:
+            found, status = elsewhere, Status.RELOCALISED
         jumped = status is Status.RELOCALISED
+        if jumped:
+            self._part = self._part_of(found.T_camera_object, model)
         self._resting = not jumped and rests(*seen, view, last, found, resting=self._resting, **self._options)
         pose = last if self._resting else found.T_camera_object
         self._poses = [pose] if jumped else [last, pose]
@@ -166,7 +211,7 @@ class Tracker:
         self._remember(views, mask)
         if status is not Status.WEAK:
             self._note(views, mask)
-        return Located(T_camera_object=pose, status=status)
+        return Located(T_camera_object=pose, status=status, part=self._part)
 
     def locate_by_picture(self, views: FrameViews) -> Located:
         """Find the object in a frame without depth by the colour picture alone."""
@@ -184,15 +229,56 @@ class Tracker:
         else:
             self._poses = self._poses[-1:]
         self._last, self._resting = None, False
-        return Located(T_camera_object=self._poses[-1], status=Status.LOST)
+        return Located(T_camera_object=self._poses[-1], status=Status.LOST, part=self._part)
 
-    def _found_again(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Registration | None:
-        """Return the best registration from poses that keyframes speak for, if it can be trusted."""
+    def _begin_part(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
+        """Begin a new part of the model with a frame, above the others as the first camera saw them."""
+        here = self._poses[-1] @ _place(self._parts - self._part, model)
+        self._part, self._parts = self._parts, self._parts + 1
+        self._poses, self._resting, self._usual, self._lost, self._since_check = [here], False, 0.0, 0, 0
+        self._remember(views, mask)
+        self._note(views, mask)
+        return Located(T_camera_object=here, status=Status.WEAK, part=self._part)
+
+    def _recognised(
+        self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel, found: Registration
+    ) -> Registration | None:
+        """Look now and then whether a frame shows another part of the model, if the present one is not the first."""
+        self._since_check += 1
+        if not self._part or self._since_check < RETURN_FRAMES:
+            return None
+        self._since_check, last = 0, self._last
+        elsewhere = self._found_again(views, mask, model, apart_from=found.T_camera_object)
+        self._last = last
+        if elsewhere is not None:
+            other = self._part_of(elsewhere.T_camera_object, model)
+            self.bridges[self._part] = (inverse(found.T_camera_object) @ elsewhere.T_camera_object, other)
+        return elsewhere
+
+    def _part_of(self, T_camera_object: Pose, model: EvidenceModel) -> int:
+        """Return the part in which a pose places the camera."""
+        height = -float(inverse(T_camera_object)[1, 3]) / (PART_CELLS * model.voxel_size_m)
+        return min(max(round(height), 0), self._parts - 1)
+
+    def _found_again(
+        self,
+        views: FrameViews,
+        mask: NDArray[np.bool_],
+        model: EvidenceModel,
+        apart_from: Pose | None = None,
+    ) -> Registration | None:
+        """Return the best registration from poses that keyframes speak for, if it can be trusted.
+
+        With a pose to be `apart_from`, only those in other parts of the model count.
+        """
         if self._keyframes is None:
             return None
         self._last = None
         seen, form = _seen(views, mask), views.form(mask)
         poses = [sight.T_camera_object for sight in self._keyframes.find(views.frame, mask)]
+        if apart_from is not None:
+            here = self._part_of(apart_from, model)
+            poses = [pose for pose in poses if self._part_of(pose, model) != here]
         tries = [register(*seen, self._view(form, model, pose), pose, **self._options) for pose in poses]
         trusted = [found for found in tries if found.status is Status.TRACKED]
         return max(trusted, key=lambda found: found.agreement, default=None)
@@ -214,6 +300,37 @@ class Tracker:
         _, depth, luma = self._last
         same = (view.depth > 0) & (np.abs(depth - view.depth) < SAME_SURFACE * view.depth)
         return replace(view, intensity=np.where(same, luma, np.float32(np.nan)))
+
+
+def _place(parts: int, model: EvidenceModel) -> Pose:
+    """Return the motion from the frame of a part to that of one so many parts on."""
+    return make_pose(np.eye(3), np.array([0.0, parts * PART_CELLS * model.voxel_size_m, 0.0]))
+
+
+def joined_parts(found: Sequence[Located | None], bridges: Mapping[int, tuple[Pose, int]]) -> list[Located | None]:
+    """Return located frames with parts of the model brought to where those that were recognised from them are.
+
+    Parameters
+    ----------
+    found
+        Where an object is in every frame.
+    bridges
+        As of `Tracker.bridges`.
+    """
+    motions = {}
+    for part in bridges:
+        T, at, seen = identity(), part, set[int]()
+        while at in bridges and at not in seen:
+            seen.add(at)
+            T, at = T @ bridges[at][0], bridges[at][1]
+        motions[part] = T, at
+    result: list[Located | None] = []
+    for at_frame in found:
+        if at_frame is not None and at_frame.part in motions:
+            T, part = motions[at_frame.part]
+            at_frame = replace(at_frame, T_camera_object=at_frame.T_camera_object @ T, part=part)
+        result.append(at_frame)
+    return result
 
 
 def _seen(views: FrameViews, mask: NDArray[np.bool_]) -> _Seen:

@@ -34,6 +34,8 @@ BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 SIGHT_FRAMES = 5
+MIN_PATIENCE = 5
+"""Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
@@ -258,7 +260,13 @@ class Scene:
             size = max(round(size, 4), MIN_VOXEL_SIZE_M)
         tracker = None
         if tracked:
-            tracker = Tracker(sensor, self.config.threads, lit_evenly=number == 0, luma_weight=self.luma_weight)
+            tracker = Tracker(
+                sensor,
+                self.config.threads,
+                lit_evenly=number == 0,
+                luma_weight=self.luma_weight,
+                patience=max(MIN_PATIENCE, round(self.info.fps)),
+            )
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""A camera that loses its way: a new part of the model begins, and is joined to the first when that is recognised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from streams import ListSequence
+from threedvc.config import EncoderConfig, Motion, Sensor
+from threedvc.decoder import Decoder
+from threedvc.encoder import Encoder
+from threedvc.frame import Frame
+from threedvc.motion import Located, joined_parts
+from threedvc.pose import Pose, identity, inverse, make_pose
+from threedvc.scene import Scene
+from threedvc.synthesis import SyntheticSequence, make_scene
+
+ROOM = SyntheticSequence(make_scene("room", frames=60, size=(160, 120)))
+INFO = replace(ROOM.info, has_camera_poses=False, fps=6)
+COVERED = 8
+FIRST, ELSEWHERE = list(range(12)), list(range(40, 55))
+PERIOD_NS = 10**9 // 6
+
+
+def recording(*numbers: int | None) -> ListSequence:
+    """Return frames of the room as filmed without poses; None: the lens is covered."""
+    frames = []
+    for index, number in enumerate(numbers):
+        frame = ROOM[number or 0]
+        if number is None:
+            frame = replace(frame, color=np.zeros_like(frame.color), depth=np.zeros_like(frame.depth))
+        frames.append(replace(frame, index=index, timestamp_ns=index * PERIOD_NS, T_world_camera=None))
+    return ListSequence(frames, INFO)
+
+
+def true_pose(number: int) -> Pose:
+    """Return T_camera_world, in the world that is the camera of frame 0."""
+    first, here = ROOM[0].T_world_camera, ROOM[number].T_world_camera
+    assert first is not None
+    assert here is not None
+    return inverse(here) @ first
+
+
+def distance(found: Pose, number: int) -> float:
+    return float(np.linalg.norm((inverse(found) @ true_pose(number))[:3, 3]))
+
+
+def tracked(frames: list[Frame]) -> tuple[Scene, list[str]]:
+    scene = Scene(INFO, EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL))
+    return scene, [scene.add(frame) for frame in frames]
+
+
+@pytest.fixture(scope="module")
+def there_and_back() -> tuple[list[int | None], Scene, list[str]]:
+    numbers = [*FIRST, *[None] * COVERED, *ELSEWHERE, *range(53, 4, -1)]
+    return numbers, *tracked(recording(*numbers).frames)
+
+
+def test_a_new_part_begins_a_second_after_the_way_was_lost(
+    there_and_back: tuple[list[int | None], Scene, list[str]],
+) -> None:
+    _, scene, status = there_and_back
+    covered = slice(len(FIRST), len(FIRST) + COVERED)
+    assert set(status[covered]) == {"lost"}
+    assert "lost" not in status[: len(FIRST)] + status[covered.stop :]
+    parts = [None if at is None else at.part for at in scene.objects[0].found]
+    assert set(parts[: len(FIRST)]) == {0}
+    assert set(parts[covered.stop : covered.stop + len(ELSEWHERE)]) == {1}
+
+
+def test_nothing_of_a_new_part_touches_the_first(there_and_back: tuple[list[int | None], Scene, list[str]]) -> None:
+    _, scene, _ = there_and_back
+    places = [inverse(at.T_camera_object)[:3, 3] for at in scene.objects[0].found if at is not None]
+    heights = -np.array(places)[:, 1]
+    assert heights[len(FIRST) - 1] < 3
+    assert heights[len(FIRST) + COVERED] > 20
+
+
+def test_parts_are_joined_when_the_first_is_recognised(
+    there_and_back: tuple[list[int | None], Scene, list[str]],
+) -> None:
+    numbers, scene, status = there_and_back
+    item = scene.objects[0]
+    assert status.count("relocalised") == 1
+    assert item.found[-1] is not None
+    assert item.found[-1].part == 0
+    assert item.tracker is not None
+    for at, number in zip(joined_parts(item.found, item.tracker.bridges), numbers, strict=True):
+        if number is not None:
+            assert at is not None
+            assert distance(at.T_camera_object, number) < 0.02
+
+
+def test_a_camera_that_comes_back_at_once_needs_no_part() -> None:
+    numbers = [*FIRST, None, None, *range(13, 18)]
+    scene, status = tracked(recording(*numbers).frames)
+    assert [index for index, each in enumerate(status) if each == "lost"] == [12, 13]
+    assert all(at is not None and at.part == 0 for at in scene.objects[0].found)
+    assert scene.objects[0].found[-1] is not None
+    assert distance(scene.objects[0].found[-1].T_camera_object, 17) < 0.02
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_the_stream_goes_on(causal: bool) -> None:
+    numbers = [*FIRST, *[None] * COVERED, *ELSEWHERE[:6]]
+    settings = EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL, causal=causal, refine=False, voxel_size_m=0.04)
+    decoder, encoder = Decoder(), Encoder(INFO, settings)
+    states = list(decoder.frames(encoder.packets(recording(*numbers))))
+    assert decoder.complete
+    assert len(states) == len(numbers)
+    assert encoder.reports[-1].status == "tracked"
+
+
+def test_chains_of_parts_are_joined() -> None:
+    found: list[Located | None] = [
+        Located(T_camera_object=identity(), status="tracked", part=part) for part in (0, 1, 2, 3)
+    ]
+    found.append(None)
+    up = make_pose(np.eye(3), np.array([0.0, 1.0, 0.0]))
+    joined = joined_parts(found, {2: (up, 1), 1: (up, 0)})
+    assert [at and at.part for at in joined] == [0, 0, 0, 3, None]
+    assert [at and at.T_camera_object[1, 3] for at in joined] == [0.0, 1.0, 2.0, 0.0, None]
