@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,7 +101,7 @@ def best_looks(
                 crossings += list((np.arange(opacity.shape[axis] + 1) - view[axis, 3]) / along[axis])
         depths = np.unique([depth for depth in crossings if 0 <= depth <= reach_m])
         left = 1.0
-        for near, far in zip(depths[:-1], depths[1:], strict=True):
+        for near, far in pairwise(depths):
             cell = tuple(np.floor(view[:, 3] + along * (near + far) / 2).astype(int))
             if not all(0 <= n < size for n, size in zip(cell, opacity.shape, strict=True)) or left <= 0.01:
                 continue

@@ -9,7 +9,7 @@ what the ones before it leave.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -404,6 +404,7 @@ def _object(
     centre, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     usual_m = float(np.median(np.linalg.norm(recorded[:, :3, 3] - centre, axis=1)))
     distance_m = max(usual_m, sight.distance_m(radius_m))
+    sight = replace(sight, reach_m=min(sight.sensor.reach_m, max(sight.reach_m, distance_m + radius_m)))
     finest_m = max(sight.spacing * distance_m, model.voxel_size_m)
     margin_m = MARGIN_CELLS * finest_m
     field = EntropyField(

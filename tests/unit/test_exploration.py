@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_exploration import best_looks
-from streams import packed_stream
-from threedvc.camera import Camera
+from streams import FRAMES, INFO, ListSequence, gradient_frame, packed_stream, toy_pose
+from threedvc.camera import Camera, CameraRig
 from threedvc.config import (
     AppearanceConfig,
     EncoderConfig,
@@ -40,7 +40,7 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
 KINECT = SENSORS[Sensor.KINECT1]
 SIGHT = Sight.of(CAMERA, 3.0, KINECT)
-CHOICES = ExplorationConfig(candidates=60, best=2)
+CHOICES = ExplorationConfig(candidates=150, best=2)
 Poses = Sequence[NDArray[np.float64]]
 
 
@@ -175,6 +175,47 @@ class TestThinned:
         assert len(set(steps[:-1])) == 1
 
 
+class TestTargets:
+    def test_before_a_fixed_camera_what_moves(self) -> None:
+        report = explore(io.BytesIO(packed_stream()), CHOICES)
+        assert [item.id for item in report.objects] == [1]
+        assert {item.number for item in report.proposals} == {1}
+        for item in report.to_map()["proposals"]:
+            T_world_object = compose(np.array(item["T_world_camera"]), np.array(item["T_camera_object"]))
+            assert np.allclose(T_world_object, toy_pose(3), atol=2e-3)
+
+    def test_the_world_when_asked_for(self) -> None:
+        report = explore(io.BytesIO(packed_stream()), replace(CHOICES, objects=(0, 1)))
+        assert [item.id for item in report.objects] == [0, 1]
+        assert report.candidates == 2 * CHOICES.candidates
+
+    def test_one_frame_is_explored_as_a_room(self) -> None:
+        decoder, states = room_from(ROOM.T_world_camera[:1])
+        target = target_in(decoder, states, 0)
+        proposals, _ = propose([target], 2, 1)
+        assert len(proposals) == 2
+        assert all(target.field.cells_at(item.T_field_camera[None, :3, 3]).size for item in proposals)
+
+    def test_what_rests_is_part_of_the_world(self) -> None:
+        sequence = ListSequence([replace(gradient_frame(index), mask=half_mask()) for index in range(FRAMES)])
+        moved = replace(INFO, has_masks=True, has_camera_poses=True, has_object_poses=True)
+        poses = [frame.T_world_camera for frame in sequence.frames if frame.T_world_camera is not None]
+        sequence.frames = [
+            replace(frame, T_camera_object={1: inverse(pose)})
+            for frame, pose in zip(sequence.frames, poses, strict=True)
+        ]
+        sequence.info = moved
+        decoder, states = recorded(sequence, 0.1, SegmentationMode.MASKS)
+        assert set(decoder.models) == {0, 1}
+        target_in(decoder, states, 0)
+
+
+def half_mask() -> NDArray[np.uint8]:
+    mask = np.zeros((CAMERA.height, CAMERA.width), dtype=np.uint8)
+    mask[4:8, 4:12] = 1
+    return mask
+
+
 class TestChoices:
     @pytest.mark.parametrize(
         ("choices", "message"),
@@ -197,21 +238,14 @@ class TestChoices:
 
     def test_no_surface(self) -> None:
         with pytest.raises(SequenceError, match="no frame shows a surface, so there is nothing to explore"):
-            targets_of({}, rig_of_packed(), [], CHOICES)
-
-
-def rig_of_packed():  # type: ignore[no-untyped-def]
-    decoder = Decoder()
-    list(decoder.frames(StreamReader(io.BytesIO(packed_stream()), "stream")))
-    assert decoder.header is not None
-    return rig_of(decoder.header)
+            targets_of({}, CameraRig.registered_to(CAMERA), [], CHOICES)
 
 
 # What follows encodes: a part is recorded, advice is followed, and what that brought is measured.
 
-START, STEPS, DRAWS = 3, 2, 4
+START, STEPS, DRAWS = 3, 3, 3
 ROOM = make_scene("room", frames=START, size=(64, 48))
-TOY = make_scene("paper", frames=START, size=(64, 64))
+TOY = replace(make_scene("paper", frames=21, size=(64, 64)), background=())
 
 
 def recorded(sequence: FrameSequence, voxel_size_m: float, mode: SegmentationMode) -> tuple[Decoder, list[FrameState]]:
@@ -241,7 +275,7 @@ def toy_from(path: Poses) -> tuple[Decoder, list[FrameState]]:
     script = np.stack([compose(fixed, inverse(view)) for view in path])
     body = replace(TOY.bodies[0], T_world_body=script)
     scene = replace(TOY, bodies=(body,), T_world_camera=np.repeat(fixed[None], count, axis=0))
-    return recorded(SyntheticSequence(scene), 0.012, SegmentationMode.MASKS)
+    return recorded(SyntheticSequence(scene), 0.02, SegmentationMode.MASKS)
 
 
 def target_in(decoder: Decoder, states: list[FrameState], number: int) -> Target:
@@ -286,16 +320,16 @@ def room_explored() -> tuple[list[float], list[int], list[float], list[int]]:
 class TestAdvice:
     def test_views_of_a_room_take_away_more_entropy_than_random_ones(self) -> None:
         bits, _, random_bits, _ = room_explored()
-        assert bits[0] > bits[1] > bits[2]
-        assert bits[0] - bits[-1] > 1.5 * (bits[0] - np.mean(random_bits))
+        assert bits == sorted(bits, reverse=True)
+        assert bits[0] - bits[-1] > 2 * (bits[0] - np.mean(random_bits))
         assert bits[-1] < min(random_bits)
 
     def test_views_of_a_room_find_more_surfaces_than_random_ones(self) -> None:
         _, cells, _, random_cells = room_explored()
-        assert cells[-1] - cells[0] > 1.4 * (np.mean(random_cells) - cells[0])
+        assert cells[-1] - cells[0] > 2 * (np.mean(random_cells) - cells[0])
 
     def test_a_view_of_a_toy_shows_more_of_it_than_random_ones(self) -> None:
-        views = [inverse(TOY.object_poses(index)[1]) for index in range(START)]
+        views = [inverse(TOY.object_poses(index)[1]) for index in (0, 10, 20)]
         result = toy_from(views)
         target = target_in(*result, 1)
         (best,), _ = propose([target], 1, 2)
@@ -304,5 +338,4 @@ class TestAdvice:
         advised = toy_from([*views, best.T_field_camera])[0].models[1].cell_count
         picks = rng.choice(len(target.candidates), DRAWS, replace=False)
         others = [toy_from([*views, target.candidates[pick]])[0].models[1].cell_count for pick in picks]
-        assert advised - seen > 1.3 * (np.mean(others) - seen)
-        print(seen, advised, others)
+        assert advised - seen > 2 * (np.mean(others) - seen)
