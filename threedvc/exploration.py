@@ -340,7 +340,7 @@ def _moves(number: int, model: DecodedModel, states: Sequence[FrameState]) -> bo
 
 def _points(model: DecodedModel) -> NDArray[np.float64]:
     """Return the centres (n, 3) of a model's cells in metres."""
-    return (model.cells()[0] + 0.5) * model.voxel_size_m
+    return np.asarray((model.cells()[0] + 0.5) * model.voxel_size_m, dtype=np.float64)
 
 
 def _placed(points: NDArray[np.float64], T: Pose) -> NDArray[np.float64]:
@@ -349,8 +349,8 @@ def _placed(points: NDArray[np.float64], T: Pose) -> NDArray[np.float64]:
 
 def _box(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return corners (3,) of a box about points (n, 3), without a few that lie far from all others."""
-    low, high = np.asarray(np.quantile(points, [OUTLIERS, 1 - OUTLIERS], axis=0), dtype=np.float64)
-    return low, high
+    corners = np.asarray(np.quantile(points, [OUTLIERS, 1 - OUTLIERS], axis=0), dtype=np.float64)
+    return corners[0], corners[1]
 
 
 def _world(
