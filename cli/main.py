@@ -12,6 +12,7 @@ import click
 from threedvc import __version__
 from threedvc.cli.decode import decode
 from threedvc.cli.encode import encode
+from threedvc.cli.explore import explore
 from threedvc.cli.stats import stats
 from threedvc.cli.synth import synth
 from threedvc.errors import ThreedvcError
@@ -77,5 +78,5 @@ def main() -> None:
     """
 
 
-for command in (encode, decode, stats, synth):
+for command in (encode, decode, stats, explore, synth):
     main.add_command(command)

@@ -38,7 +38,17 @@ from threedvc.pose import Pose, make_pose
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 
-__all__ = ["FRAMES", "INFO", "FakeStream", "ListSequence", "drawn", "gradient_frame", "packed_stream", "roaming_stream"]
+__all__ = [
+    "FRAMES",
+    "INFO",
+    "FakeStream",
+    "ListSequence",
+    "drawn",
+    "gradient_frame",
+    "packed_stream",
+    "roaming_stream",
+    "toy_pose",
+]
 
 FRAMES = 4
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)

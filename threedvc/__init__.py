@@ -26,8 +26,9 @@ from threedvc.errors import (
 )
 
 if TYPE_CHECKING:
-    from threedvc.config import EncoderConfig, RenderConfig
+    from threedvc.config import EncoderConfig, ExplorationConfig, RenderConfig
     from threedvc.formats.api import decode, encode, open_stream
+    from threedvc.formats.exploration import explore
     from threedvc.formats.statistics import statistics
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "ConfigError",
     "CorruptStream",
     "EncoderConfig",
+    "ExplorationConfig",
     "FormatError",
     "LimitExceeded",
     "OutputError",
@@ -47,15 +49,18 @@ __all__ = [
     "__version__",
     "decode",
     "encode",
+    "explore",
     "open_stream",
     "statistics",
 ]
 
 _HOMES = {
     "EncoderConfig": "threedvc.config",
+    "ExplorationConfig": "threedvc.config",
     "RenderConfig": "threedvc.config",
     "decode": "threedvc.formats.api",
     "encode": "threedvc.formats.api",
+    "explore": "threedvc.formats.exploration",
     "open_stream": "threedvc.formats.api",
     "statistics": "threedvc.formats.statistics",
 }

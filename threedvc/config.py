@@ -14,6 +14,7 @@ __all__ = [
     "AppearanceConfig",
     "ColorConfig",
     "EncoderConfig",
+    "ExplorationConfig",
     "FilterParts",
     "Focus",
     "FusionConfig",
@@ -34,6 +35,7 @@ MAX_VOXEL_SIZE_M = 1.0
 MIN_STEP, MAX_STEP = 0.5, 255.0
 MAX_FOCUS = 100.0
 MAX_OBJECT = 255
+MAX_CANDIDATES = 100_000
 MIN_BPS = 500
 MIN_LIVE_BPS = 8000
 MIDDLE_QUALITY = 50
@@ -348,5 +350,40 @@ class RenderConfig:
     def __post_init__(self) -> None:
         if self.supersample is not None and not 1 <= self.supersample <= 4:
             raise ConfigError(f"supersampling {self.supersample} must be within 1..4")
+        if self.threads < 1:
+            raise ConfigError(f"number of threads {self.threads} must be at least 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplorationConfig:
+    """Choices of the search for views to record next.
+
+    Attributes
+    ----------
+    candidates
+        Views to choose from, of each object that is explored.
+    best
+        How many to propose.
+    sensor
+        The sensor that will take them.
+    objects
+        Numbers of the objects to explore, 0 for all that rests; None: what moves against the camera.
+    threads
+        Number of threads; proposals do not depend on it.
+    """
+
+    candidates: int = 200
+    best: int = 5
+    sensor: Sensor = Sensor.KINECT1
+    objects: tuple[int, ...] | None = None
+    threads: int = field(default_factory=default_threads)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.candidates <= MAX_CANDIDATES:
+            raise ConfigError(f"number of candidates {self.candidates} must be within 1..{MAX_CANDIDATES}")
+        if self.best < 1:
+            raise ConfigError(f"number of proposals {self.best} must be at least 1")
+        if self.sensor is Sensor.AUTO:
+            raise ConfigError("a stream does not tell the sensor of views to come; name one")
         if self.threads < 1:
             raise ConfigError(f"number of threads {self.threads} must be at least 1")

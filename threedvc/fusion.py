@@ -24,7 +24,7 @@ from threedvc.parallel import for_ranges
 from threedvc.pose import Pose, inverse
 from threedvc.sensor_model import SensorModel
 
-__all__ = ["Observation", "camera_parameters", "free_space_log_odds", "fuse", "observe"]
+__all__ = ["Observation", "camera_parameters", "confidence_of", "free_space_log_odds", "fuse", "observe"]
 
 PYRAMID_LEVELS = 5
 
@@ -80,12 +80,12 @@ def observe(frame: Frame, rig: CameraRig, rays: NDArray[np.float64]) -> Observat
         depth=frame.depth,
         rays=rays,
         levels=tuple(levels),
-        confidence=_confidence(frame.depth, rig.depth),
+        confidence=confidence_of(frame.depth, rig.depth),
     )
 
 
-def _confidence(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Weigh pixels by the cosine of the viewing angle; pixels at depth edges count little."""
+def confidence_of(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Weigh pixels (h, w) by the cosine of the viewing angle; pixels at depth edges count little."""
     valid = depth > 0
     near = cv2.erode(np.where(valid, depth, np.float32(1e6)), np.ones((3, 3), np.uint8))
     far = cv2.dilate(depth, np.ones((3, 3), np.uint8))

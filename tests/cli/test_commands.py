@@ -20,12 +20,14 @@ from click.testing import CliRunner, Result
 
 import threedvc
 from streams import FRAMES, FakeStream, ListSequence, packed_stream, roaming_stream
+from threedvc.cli import explore as explore_module
 from threedvc.cli.encode import LAYOUTS, SENSORS
 from threedvc.cli.main import main
 from threedvc.config import Motion, SegmentationMode, Sensor
 from threedvc.errors import OutputError, RegistrationFailed
 from threedvc.formats import api
 from threedvc.formats import statistics as statistics_module
+from threedvc.formats.container.layout import SYNC
 from threedvc.formats.sinks import PlainSink
 from threedvc.formats.sources import layout_names, open_sequence
 
@@ -110,9 +112,9 @@ class TestMain:
     def test_help_names_every_command(self) -> None:
         result = run("--help")
         assert result.exit_code == 0
-        assert all(f"\n  {name} " in result.stdout for name in ("decode", "encode", "stats", "synth"))
+        assert all(f"\n  {name} " in result.stdout for name in ("decode", "encode", "explore", "stats", "synth"))
 
-    @pytest.mark.parametrize("name", ["decode", "encode", "stats", "synth"])
+    @pytest.mark.parametrize("name", ["decode", "encode", "explore", "stats", "synth"])
     def test_help_of_every_command(self, name: str) -> None:
         result = run(name, "--help")
         assert result.exit_code == 0
@@ -412,3 +414,66 @@ class TestStats:
         assert result.exit_code == 1
         assert result.stderr.startswith(f"Error: {path}: {message}")
         assert result.stderr.count("\n") == 1
+
+
+class TestExplore:
+    def test_table(self, stream: Path) -> None:
+        result = run("explore", stream, "--candidates", "30", "--best", "3")
+        assert result.exit_code == 0, result.stderr
+        lines = result.stdout.splitlines()
+        assert lines[0] == "gradient, 4 frames, 30 candidates"
+        assert lines[3].split()[0] == "1"
+        assert [line.split()[:2] for line in lines[6:]] == [["1", "1"], ["2", "1"], ["3", "1"]]
+        assert max(map(len, lines)) <= 100
+        assert result.stderr == ""
+
+    def test_json_is_all_of_standard_output(self, stream: Path) -> None:
+        values = json.loads(run("explore", stream, "--candidates", "30", "--best", "2", "--json").stdout)
+        assert (values["frames"], values["complete"], values["candidates"]) == (FRAMES, True, 30)
+        assert [item["rank"] for item in values["proposals"]] == [1, 2]
+        first = values["proposals"][0]
+        assert set(first) == {
+            "rank", "object", "gain_bits", "share", "move_m", "turn_deg", "T_world_camera", "T_camera_object"
+        }  # fmt: skip
+        assert np.shape(first["T_world_camera"]) == (4, 4)
+        assert 0 < first["gain_bits"] < values["objects"][0]["in_sight_bits"] < values["objects"][0]["entropy_bits"]
+
+    def test_standard_input(self, stream: Path) -> None:
+        from_file = run("explore", stream, "--candidates", "9", "--json").stdout
+        assert run("explore", "-", "--candidates", "9", "--json", input=stream.read_bytes()).stdout == from_file
+
+    def test_cut_stream_is_explored_as_far_as_it_goes(self, cut_stream: Path) -> None:
+        result = run("explore", cut_stream, "--candidates", "9")
+        assert result.exit_code == 0, result.stderr
+        assert result.stdout.startswith("gradient, 2 frames, 9 candidates  TRUNCATED: the stream ends before its END")
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["--candidates", "0"], "number of candidates 0 must be within 1..100000"),
+            (["--best", "0"], "number of proposals 0 must be at least 1"),
+            (["--objects", "5"], "object 5 is not there to be explored, or rests as part of 0; choose of 0, 1"),
+        ],
+    )
+    def test_bad_values(self, stream: Path, arguments: list[str], message: str) -> None:
+        result = run("explore", stream, *arguments)
+        assert (result.exit_code, result.stdout, result.stderr) == (1, "", f"Error: {message}\n")
+
+    def test_stream_without_surfaces(self, tmp_path: Path) -> None:
+        path = tmp_path / "bare.3dvc"
+        data = packed_stream()
+        path.write_bytes(data[: data.index(SYNC, data.index(SYNC) + 1)])
+        result = run("explore", path)
+        assert result.exit_code == 1
+        assert result.stderr == (
+            f"Error: {path}: no frame shows a surface, so there is nothing to explore; record something first\n"
+        )
+
+    def test_missing_file(self, tmp_path: Path) -> None:
+        result = run("explore", tmp_path / "no.3dvc")
+        assert result.exit_code == 1
+        assert result.stderr.startswith(f"Error: {tmp_path / 'no.3dvc'}: ")
+        assert result.stderr.count("\n") == 1
+
+    def test_choices_are_those_of_the_library(self) -> None:
+        assert set(explore_module.SENSORS) == {member.value for member in Sensor} - {"auto"}
