@@ -68,9 +68,10 @@ golden: $(READY) ## Write the golden streams anew; every release must still deco
 fuzz: $(READY) ## Feed damaged streams to the reader for longer than the tests do
 	THREEDVC_EXAMPLES=5000 $(BIN)/python -m pytest --quiet tests/fuzz tests/property
 
-bench: $(READY) ## Measure speed, memory and quality, write SPEED.md and SEQUENCES.md in benchmarks
+bench: $(READY) ## Measure speed, memory, quality and tracking, write tables in benchmarks
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/sequences.py
+	$(BIN)/python benchmarks/tracking.py
 
 bench-rd: $(BENCH_READY) ## Compare with AV1 at equal quality, write RESULTS.md and plots in benchmarks
 	$(BIN)/python benchmarks/rd.py

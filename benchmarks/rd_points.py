@@ -157,6 +157,10 @@ class Recording:
         """Yield the depth pictures in metres."""
         return (frame.depth for frame in self.frames)
 
+    def encoder_frames(self) -> FolderSequence:
+        """Return the frames as the encoder takes them in."""
+        return self._opened(self.config.max_depth_m)
+
     def encode(self, stream: Path, config: EncoderConfig) -> int:
         """Encode with 3dvc and return the bytes of the file."""
         return threedvc.encode(self._opened(config.max_depth_m), stream, config).file_bytes
