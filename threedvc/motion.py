@@ -161,7 +161,7 @@ class Tracker:
         self._resting = False
         self._usual = 0.0
         self._patience, self._lost = patience, 0
-        self._part, self._parts, self._since_check = 0, 1, 0
+        self._part, self._parts, self._since_check, self._apart_m = 0, 1, 0, 1.0
         self.bridges: dict[int, tuple[Pose, int]] = {}
         self._keyframes: Keyframes | None = None
         self._last: tuple[int, NDArray[np.float32], NDArray[np.float32]] | None = None
@@ -202,7 +202,7 @@ class Tracker:
             found, status = elsewhere, Status.RELOCALISED
         jumped = status is Status.RELOCALISED
         if jumped:
-            self._part = self._part_of(found.T_camera_object, model)
+            self._part = self._part_of(found.T_camera_object)
         self._resting = not jumped and rests(*seen, view, last, found, resting=self._resting, **self._options)
         pose = last if self._resting else found.T_camera_object
         self._poses = [pose] if jumped else [last, pose]
@@ -218,8 +218,10 @@ class Tracker:
         sights = [] if self._keyframes is None else self._keyframes.find(views.frame)
         if not sights:
             return self._missed()
-        self._poses, self._last, self._resting = [sights[0].T_camera_object], None, False
-        return Located(T_camera_object=sights[0].T_camera_object, status=Status.WEAK)
+        pose = sights[0].T_camera_object
+        self._poses, self._last, self._resting = [pose], None, False
+        self._part = self._part_of(pose)
+        return Located(T_camera_object=pose, status=Status.WEAK, part=self._part)
 
     def _missed(self) -> Located:
         """Let a lost object go on for a moment, then stay where it was."""
@@ -233,7 +235,9 @@ class Tracker:
 
     def _begin_part(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
         """Begin a new part of the model with a frame, above the others as the first camera saw them."""
-        here = self._poses[-1] @ _place(self._parts - self._part, model)
+        self._apart_m = PART_CELLS * model.voxel_size_m
+        on = np.array([0.0, (self._parts - self._part) * self._apart_m, 0.0])
+        here = self._poses[-1] @ make_pose(np.eye(3), on)
         self._part, self._parts = self._parts, self._parts + 1
         self._poses, self._resting, self._usual, self._lost, self._since_check = [here], False, 0.0, 0, 0
         self._remember(views, mask)
@@ -251,14 +255,14 @@ class Tracker:
         elsewhere = self._found_again(views, mask, model, apart_from=found.T_camera_object)
         self._last = last
         if elsewhere is not None:
-            other = self._part_of(elsewhere.T_camera_object, model)
+            other = self._part_of(elsewhere.T_camera_object)
             self.bridges[self._part] = (inverse(found.T_camera_object) @ elsewhere.T_camera_object, other)
         return elsewhere
 
-    def _part_of(self, T_camera_object: Pose, model: EvidenceModel) -> int:
+    def _part_of(self, T_camera_object: Pose) -> int:
         """Return the part in which a pose places the camera."""
-        height = -float(inverse(T_camera_object)[1, 3]) / (PART_CELLS * model.voxel_size_m)
-        return min(max(round(height), 0), self._parts - 1)
+        height = -float(inverse(T_camera_object)[1, 3])
+        return min(max(round(height / self._apart_m), 0), self._parts - 1)
 
     def _found_again(
         self,
@@ -277,8 +281,8 @@ class Tracker:
         seen, form = _seen(views, mask), views.form(mask)
         poses = [sight.T_camera_object for sight in self._keyframes.find(views.frame, mask)]
         if apart_from is not None:
-            here = self._part_of(apart_from, model)
-            poses = [pose for pose in poses if self._part_of(pose, model) != here]
+            here = self._part_of(apart_from)
+            poses = [pose for pose in poses if self._part_of(pose) != here]
         tries = [register(*seen, self._view(form, model, pose), pose, **self._options) for pose in poses]
         trusted = [found for found in tries if found.status is Status.TRACKED]
         return max(trusted, key=lambda found: found.agreement, default=None)
@@ -300,11 +304,6 @@ class Tracker:
         _, depth, luma = self._last
         same = (view.depth > 0) & (np.abs(depth - view.depth) < SAME_SURFACE * view.depth)
         return replace(view, intensity=np.where(same, luma, np.float32(np.nan)))
-
-
-def _place(parts: int, model: EvidenceModel) -> Pose:
-    """Return the motion from the frame of a part to that of one so many parts on."""
-    return make_pose(np.eye(3), np.array([0.0, parts * PART_CELLS * model.voxel_size_m, 0.0]))
 
 
 def joined_parts(found: Sequence[Located | None], bridges: Mapping[int, tuple[Pose, int]]) -> list[Located | None]:
