@@ -35,18 +35,22 @@ REPROJECTION = 0.006
 """Largest distance of a feature from where its point appears, in parts of the picture's width."""
 DRAWS = 300
 CANDIDATES = 3
+THUMBNAIL = (20, 15)
+MAX_TRIED = 48
+"""Of more keyframes only those are matched whose small pictures are most like the frame's."""
 
 Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Keyframe:
-    """Pose ``T_camera_object``, points (n, 3) in the object's frame, descriptors (n, 32), and their distance."""
+    """Pose ``T_camera_object``, points (n, 3) in the object's frame, descriptors (n, 32), distance, small picture."""
 
     T_camera_object: Pose
     points: Doubles
     descriptors: NDArray[np.uint8]
     distance_m: float
+    thumbnail: Doubles
 
 
 class Sight(NamedTuple):
@@ -102,6 +106,7 @@ class Keyframes:
                 points=points[lifted] @ T[:3, :3].T + T[:3, 3],
                 descriptors=descriptors[lifted],
                 distance_m=float(np.median(points[lifted][:, 2])),
+                thumbnail=_thumbnail(frame),
             )
         )
 
@@ -121,8 +126,16 @@ class Keyframes:
             pixels, descriptors = pixels[lifted], descriptors[lifted]
         if len(pixels) < MIN_MATCHES:
             return []
-        found = [sight for kept in self._kept if (sight := self._sight(kept, pixels, descriptors)) is not None]
+        found = [
+            sight for kept in self._most_alike(frame) if (sight := self._sight(kept, pixels, descriptors)) is not None
+        ]
         return sorted(found, key=lambda sight: -sight.features)[:CANDIDATES]
+
+    def _most_alike(self, frame: Frame) -> list[_Keyframe]:
+        if len(self._kept) <= MAX_TRIED:
+            return self._kept
+        seen = _thumbnail(frame)
+        return sorted(self._kept, key=lambda kept: -float(seen @ kept.thumbnail))[:MAX_TRIED]
 
     def _features(self, frame: Frame) -> tuple[Doubles, NDArray[np.uint8]]:
         """Return pixels (n, 2) in the colour camera and descriptors (n, 32)."""
@@ -193,3 +206,11 @@ def _near(kept: _Keyframe, T_camera_object: Pose) -> bool:
     centre = np.array([0.0, 0.0, kept.distance_m])
     way = float(np.linalg.norm(change[:3, :3] @ centre + change[:3, 3] - centre))
     return rotation_angle(change) < APART_RAD and way < APART * kept.distance_m
+
+
+def _thumbnail(frame: Frame) -> Doubles:
+    """Return a small grey picture as a vector of mean 0 and length 1, so that exposure does not matter."""
+    small = cv2.resize(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), THUMBNAIL, interpolation=cv2.INTER_AREA)
+    values = small.astype(np.float64).ravel()
+    values -= values.mean()
+    return np.asarray(values / max(float(np.linalg.norm(values)), 1e-9))

@@ -6,7 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from threedvc import keyframes as keyframes_module
 from threedvc.keyframes import Keyframes
 from threedvc.pose import Pose, inverse, rotation_angle
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -72,3 +74,12 @@ def test_a_frame_without_depth_is_not_kept() -> None:
     keyframes = Keyframes(ROOM.info.rig)
     keyframes.note(replace(ROOM[0], depth=np.zeros_like(ROOM[0].depth)), everywhere(0), pose_of(0))
     assert len(keyframes) == 0
+
+
+def test_of_many_keyframes_the_most_alike_are_matched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keyframes_module, "MAX_TRIED", 1)
+    few = kept(0, 29)
+    assert len(few) == 2
+    assert_near(few.find(ROOM[0])[0].T_camera_object, 0)
+    brighter = replace(ROOM[29], color=(ROOM[29].color // 2 + 90).astype(np.uint8))
+    assert_near(few.find(brighter)[0].T_camera_object, 29)
