@@ -1,0 +1,403 @@
+# SPDX-License-Identifier: MIT
+"""Division of frames into rigid objects by their motion: no masks and no poses are given.
+
+What some frame saw through and another one saw moved in between (`threedvc.free_space`). Connected surfaces of such
+pixels become bodies; each body has a model of its own and is registered in every frame. A pixel that moves belongs to
+the body whose model shows its depth; else to one that it is connected with, unless it would have been in the way of
+what frames saw, had it moved with that body; else to a new one. Bodies are kept as objects that moved as one and far
+enough; the labels of others go back to the background, or to nothing where hardly any frame saw them at rest.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.camera import CameraRig
+from threedvc.config import EncoderConfig, FusionConfig, Motion, Sensor
+from threedvc.evidence_view import FrameViews, Thinned, cast_view
+from threedvc.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.free_space import Memory
+from threedvc.fusion import Observation, fuse, observe
+from threedvc.kernels.free_space import connect_surfaces, spread_labels
+from threedvc.motion import Located, Tracker
+from threedvc.object_model import EvidenceModel
+from threedvc.parallel import for_ranges
+from threedvc.pose import Pose, identity, inverse, rotation_angle
+from threedvc.registration import Status
+from threedvc.registration_starts import predict
+from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
+
+__all__ = ["Divider", "Reduction"]
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+WORKING_PIXELS = 80_000
+NEAR_OFFSETS = (3, 6, 10, 15, 21, 28, 36, 45, 55, 66, 78, 91, 105)
+STILL_LOOKS = 12
+VOTES = 2
+JUMP = 0.03
+LEAST_PIXELS = 40
+LEAST_AREA_M2 = 0.0006
+COARSE_GATE, FINE_GATE = 0.03, 0.01
+GATE_SIGMAS = 4.0
+VIEW_WINDOW = 5
+OWN_OFFSETS = (2, 4, 7, 11, 16, 22, 30, 40)
+LOST_FRAMES = 5
+YOUNG_FRAMES = 10
+CELL_PIXELS = 2.0
+FUSION = FusionConfig()
+
+
+class Reduction:
+    """Frames at every n-th pixel, so that about `WORKING_PIXELS` are left."""
+
+    def __init__(self, info: SequenceInfo) -> None:
+        camera = info.rig.depth
+        self.stride = 1
+        while camera.width * camera.height > WORKING_PIXELS * self.stride**2:
+            self.stride += 1
+        self._registered = info.rig.registered
+        small = camera.every(self.stride)
+        self.rig = CameraRig.registered_to(small) if self._registered else replace(info.rig, depth=small)
+
+    def __call__(self, frame: Frame) -> Frame:
+        """Return a frame reduced, without its mask."""
+        n, color = self.stride, frame.color
+        if self._registered and n > 1:
+            color = np.ascontiguousarray(cv2.blur(color, (n, n))[::n, ::n])
+        return replace(frame, color=color, depth=self.thin(frame.depth), mask=None)
+
+    def thin(self, depth: Floats) -> Floats:
+        """Return every n-th pixel of a depth picture."""
+        return np.ascontiguousarray(depth[:: self.stride, :: self.stride])
+
+    def spread(self, labels: NDArray[np.uint8], depth: Floats, threads: int) -> NDArray[np.uint8]:
+        """Return the labels of all pixels of a depth picture (h, w) from those of a reduced one."""
+        full, small = np.empty(depth.shape, np.uint8), self.thin(depth)
+
+        def work(start: int, stop: int) -> None:
+            spread_labels(depth, self.stride, labels, small, full, start, stop)
+
+        for_ranges(work, len(depth), threads)
+        return full
+
+
+class Body:
+    """What may become an object: a model, where it was found, and how well it fitted."""
+
+    def __init__(self, number: int, born: int, voxel_size_m: float, tracker: Tracker) -> None:
+        self.number, self.born = number, born
+        self.model = EvidenceModel(voxel_size_m)
+        self.tracker = tracker
+        self.found: dict[int, Located] = {}
+        self.fit: dict[int, float] = {}
+        self.pixels: dict[int, int] = {}
+        self.lost = 0
+        self.dead = False
+
+    @property
+    def last(self) -> int:
+        """The last frame in which it was found."""
+        return max(self.found)
+
+    @property
+    def active(self) -> bool:
+        """Whether it is being followed."""
+        return not self.dead and self.lost <= LOST_FRAMES
+
+    def pose_of(self, frame: int) -> Pose | None:
+        """Return T_camera_object where it was found."""
+        at = self.found.get(frame)
+        return None if at is None or not at.usable else at.T_camera_object
+
+    def predicted(self, frame: int) -> Pose:
+        """Return where it goes on to with its last velocity, where that is known."""
+        last = self.last
+        before = self.pose_of(last - 1)
+        here = self.found[last].T_camera_object
+        return here if before is None or frame - last > 2 else predict(before, here)
+
+
+@dataclass(eq=False)
+class _Look:
+    """A frame under division."""
+
+    frame: Frame
+    views: FrameViews
+    seen: Observation
+    moving: Mask
+    groups: NDArray[np.int32]
+    gate: Floats
+    labels: NDArray[np.uint8]
+
+
+class Divider:
+    """Divides frames; `look` at each in order, then `divide` each in order, as soon or as late as wanted.
+
+    Parameters
+    ----------
+    info
+        The sequence.
+    config
+        Choices.
+    """
+
+    def __init__(self, info: SequenceInfo, config: EncoderConfig) -> None:
+        self.info, self.config, self.threads = info, config, config.threads
+        self.reduction = Reduction(info)
+        self.rig = self.reduction.rig
+        self._form = Thinned(self.rig, 1)
+        self._rays = self.rig.depth.rays()
+        self.sensor: SensorModel | None = None
+        self.poses: list[Pose | None] = []
+        self.bodies: list[Body] = []
+        self._known = info.has_camera_poses and config.motion is not Motion.TRACK
+        self._room: EvidenceModel | None = None
+
+    def limited(self, frame: Frame) -> Frame:
+        """Return a frame reduced, without what is too far to be measured."""
+        if self.sensor is None:
+            chosen = self.config.sensor
+            self.sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
+            self.memory = Memory(self.rig.depth, self.sensor, self.threads)
+            self._camera = Tracker(self.sensor, self.threads)
+        limit = self.config.max_depth_m or self.sensor.reach_m
+        small = self.reduction(frame)
+        return replace(small, depth=np.where((small.depth > 0) & (small.depth <= limit), small.depth, np.float32(0)))
+
+    def look(self, frame: Frame) -> None:
+        """Find the camera in the next frame, and remember the frame."""
+        small = self.limited(frame)
+        pose = self._camera_pose(small)
+        self.poses.append(pose)
+        self.memory.keep(frame.index, small.depth)
+
+    def _camera_pose(self, frame: Frame) -> Pose | None:
+        assert self.sensor is not None
+        if self._known:
+            return None if frame.T_world_camera is None else inverse(frame.T_world_camera)
+        everything = np.ones(frame.depth.shape, dtype=np.bool_)
+        views = FrameViews(frame, self._form, self._form)
+        if self._room is None:
+            self._room = EvidenceModel(_cell(frame.depth, everything, self.rig))
+            at = self._camera.start(views, everything, 0, self.rig)
+        else:
+            at = self._camera.locate(views, everything, self._room)
+        if not at.usable:
+            return None
+        pose = at.T_camera_object
+        before = [frame.index - k for k in NEAR_OFFSETS]
+        through, _ = self.memory.sights(frame.depth, everything, pose, before, self.pose_of)
+        still = cv2.dilate((through > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+        fuse(self._room, observe(frame, self.rig, self._rays), still, pose, self.sensor, FUSION, self.threads)
+        return pose
+
+    def pose_of(self, frame: int) -> Pose | None:
+        """Return T_camera_world of a frame looked at, or None."""
+        return self.poses[frame] if 0 <= frame < len(self.poses) else None
+
+    def _others(self, frame: int) -> list[int]:
+        count = len(self.poses)
+        others = {frame + sign * k for k in NEAR_OFFSETS for sign in (-1, 1)}
+        pose = self.pose_of(frame)
+        for k in np.linspace(0, count - 1, STILL_LOOKS).astype(int).tolist():
+            there = self.pose_of(k)
+            if pose is not None and there is not None and np.array_equal(pose, there):
+                others.add(k)
+        return sorted(k for k in others if 0 <= k < count and k != frame)
+
+    def divide(self, frame: Frame) -> NDArray[np.uint8]:
+        """Divide a frame that was looked at; return the bodies' numbers (h, w) at the reduced pixels."""
+        small = self.limited(frame)
+        look = self._prepared(small)
+        if look is None:
+            return np.zeros(small.depth.shape, np.uint8)
+        active = [body for body in self.bodies if body.active]
+        self._follow(look, active)
+        self._explain(look, active)
+        self._give_birth(look)
+        self._fuse(look)
+        return look.labels
+
+    def _prepared(self, frame: Frame) -> _Look | None:
+        pose = self.pose_of(frame.index)
+        if pose is None:
+            return None
+        assert self.sensor is not None
+        depth = frame.depth
+        through, on = self.memory.sights(depth, depth > 0, pose, self._others(frame.index), self.pose_of)
+        self.through, self.on = through, on
+        square = np.ones((3, 3), np.uint8)
+        moving = (through >= VOTES).astype(np.uint8)
+        core = cv2.dilate(cv2.morphologyEx(moving, cv2.MORPH_OPEN, square), square)
+        moving = (cv2.morphologyEx(moving & core, cv2.MORPH_CLOSE, square) > 0) & (depth > 0)
+        sigma = self.sensor.sigma_m(depth.astype(np.float64)).astype(np.float32)
+        return _Look(
+            frame=frame,
+            views=FrameViews(frame, self._form, self._form),
+            seen=observe(frame, self.rig, self._rays),
+            moving=moving,
+            groups=_surfaces(depth, moving),
+            gate=np.float32(GATE_SIGMAS) * sigma,
+            labels=np.zeros(depth.shape, np.uint8),
+        )
+
+    def _follow(self, look: _Look, bodies: Sequence[Body]) -> None:
+        """Find bodies that are followed where the frame shows them."""
+        index, depth = look.frame.index, look.frame.depth
+        gate = look.gate + np.float32(COARSE_GATE) * depth
+        owner = self._nearest(look, [(body, body.predicted(index)) for body in bodies], gate)
+        for body in bodies:
+            mask = owner == body.number
+            for group in _shares(look.groups, owner, body.number):
+                mask |= (look.groups == group) & (owner == 0)
+            self._locate(body, look, mask)
+
+    def _locate(self, body: Body, look: _Look, mask: Mask) -> None:
+        index = look.frame.index
+        if np.count_nonzero(mask) < LEAST_PIXELS:
+            body.lost += 1
+            return
+        at = body.tracker.locate(look.views, mask, body.model)
+        if not at.usable:
+            body.lost += 1
+            if index - body.born < YOUNG_FRAMES and body.lost > 1:
+                body.dead = True
+            return
+        body.lost = 0
+        body.found[index] = at
+
+    def _nearest(self, look: _Look, poses: Sequence[tuple[Body, Pose]], gate: Floats) -> NDArray[np.uint8]:
+        """Return for each moving pixel the number of the body at whose surface it lies, within a gate (h, w)."""
+        depth = look.frame.depth
+        least = np.ones(depth.shape, np.float32)
+        owner = np.zeros(depth.shape, np.uint8)
+        for body, pose in poses:
+            off = _distance(depth, cast_view(body.model, self._form, pose, self.threads).depth) / np.maximum(gate, 1e-6)
+            mine = look.moving & (off < least)
+            owner[mine], least[mine] = body.number, off[mine]
+        return owner
+
+    def _explain(self, look: _Look, bodies: Sequence[Body]) -> None:
+        """Label the pixels of bodies that were found."""
+        index, depth = look.frame.index, look.frame.depth
+        found = [body for body in bodies if index in body.found]
+        gate = look.gate + np.float32(FINE_GATE) * depth
+        look.labels = self._nearest(look, [(body, body.found[index].T_camera_object) for body in found], gate)
+        for body in found:
+            own = look.labels == body.number
+            body.fit[index] = np.count_nonzero(own)
+            self._extend(body, look)
+
+    def _extend(self, body: Body, look: _Look) -> None:
+        """Let a body have the pixels connected with it that nothing tells against."""
+        index = look.frame.index
+        free = np.zeros_like(look.moving)
+        for group in _shares(look.groups, look.labels, body.number):
+            free |= (look.groups == group) & (look.labels == 0)
+        total = np.count_nonzero(free) + np.count_nonzero(look.labels == body.number)
+        body.fit[index] = np.count_nonzero(look.labels == body.number) / max(total, 1)
+        if not free.any():
+            return
+        others = [index - k for k in OWN_OFFSETS]
+        pose = body.found[index].T_camera_object
+        through, _ = self.memory.sights(look.frame.depth, free, pose, others, body.pose_of, whole=False)
+        against = cv2.morphologyEx((through >= VOTES).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+        look.labels[free & ~against] = body.number
+
+    def _give_birth(self, look: _Look) -> None:
+        """Make bodies of connected surfaces that move and belong to none."""
+        index, depth = look.frame.index, look.frame.depth
+        free = look.moving & (look.labels == 0)
+        groups = _surfaces(depth, free)
+        sizes = np.bincount(groups.ravel())
+        area = np.bincount(groups.ravel(), (depth.ravel() / self.rig.depth.fx) ** 2)
+        for group in (np.flatnonzero((sizes >= LEAST_PIXELS) & (area >= LEAST_AREA_M2))).tolist():
+            if group == 0:
+                continue
+            mask = groups == group
+            body = self._returned(look, mask) or self._new(look, mask)
+            if body is not None:
+                look.labels[mask] = body.number
+
+    def _returned(self, look: _Look, mask: Mask) -> Body | None:
+        index, depth = look.frame.index, look.frame.depth
+        gate = look.gate + np.float32(FINE_GATE) * depth
+        for body in self.bodies:
+            if body.dead or body.active or index in body.found:
+                continue
+            at = body.tracker.locate(look.views, mask, body.model)
+            if at.status != Status.TRACKED:
+                continue
+            view = cast_view(body.model, self._form, at.T_camera_object, self.threads).depth
+            near = _distance(depth, view) < gate
+            shown = view > 0
+            if np.count_nonzero(near & mask) > 0.6 * np.count_nonzero(mask) and np.count_nonzero(
+                shown & near
+            ) > 0.5 * np.count_nonzero(shown & ((depth == 0) | (depth > view - gate))):
+                body.lost = 0
+                body.found[index] = at
+                return body
+        return None
+
+    def _new(self, look: _Look, mask: Mask) -> Body | None:
+        assert self.sensor is not None
+        used = {body.number for body in self.bodies}
+        number = next((k for k in range(1, 255) if k not in used), None)
+        if number is None:
+            return None
+        frame = look.frame
+        body = Body(number, frame.index, _cell(frame.depth, mask, self.rig), Tracker(self.sensor, self.threads))
+        body.found[frame.index] = body.tracker.start(look.views, mask, number, self.rig)
+        self.bodies.append(body)
+        return body
+
+    def _fuse(self, look: _Look) -> None:
+        assert self.sensor is not None
+        index = look.frame.index
+        for body in self.bodies:
+            pose = body.pose_of(index)
+            mask = look.labels == body.number
+            if pose is not None and mask.any():
+                body.pixels[index] = int(np.count_nonzero(mask))
+                fuse(body.model, look.seen, mask, pose, self.sensor, FUSION, self.threads)
+
+
+def _cell(depth: Floats, mask: Mask, rig: CameraRig) -> float:
+    """Return the edge of a cell that covers about two pixels of what is seen."""
+    seen = depth[mask & (depth > 0)]
+    distance = float(np.percentile(seen, 75)) if len(seen) else 1.0
+    return max(round(CELL_PIXELS * distance / rig.depth.fx, 3), 0.002)
+
+
+def _surfaces(depth: Floats, chosen: Mask) -> NDArray[np.int32]:
+    groups, stack = np.zeros(depth.shape, np.int32), np.empty(depth.size, np.int32)
+    connect_surfaces(depth, chosen, JUMP, groups, stack)
+    return groups
+
+
+def _shares(groups: NDArray[np.int32], owner: NDArray[np.uint8], number: int) -> list[int]:
+    """Return the surfaces of which a body has more pixels than any other body."""
+    mine = np.bincount(groups[owner == number], minlength=groups.max() + 1)
+    chosen = []
+    for group in np.flatnonzero(mine).tolist():
+        owners = np.bincount(owner[groups == group], minlength=256)
+        if group and owners[1:].max() == owners[number]:
+            chosen.append(group)
+    return chosen
+
+
+def _distance(depth: Floats, view: Floats) -> Floats:
+    """Return how far (h, w) depths are from those that a view shows about their pixels; infinite where it shows none."""
+    square = np.ones((VIEW_WINDOW, VIEW_WINDOW), np.uint8)
+    low = cv2.erode(np.where(view > 0, view, np.float32(np.inf)), square)
+    high = cv2.dilate(view, square)
+    off = np.maximum(np.maximum(low - depth, depth - high), 0)
+    return np.where(high > 0, off, np.float32(np.inf)).astype(np.float32)
