@@ -110,6 +110,8 @@ class Encoder:
             yield from self._live(frames, on_frame)
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
+        if again and self.scene.division is not None:
+            self.scene.division.take(cast(FrameSequence, frames))
         self._fuse_all(frames, on_frame)
         self._check_focus()
         finished = None
@@ -214,7 +216,7 @@ class Encoder:
             rig = calibrated_rig(self.scene, frames)
             if rig is not None:
                 known = {number: item.found for number, item in self.scene.objects.items()}
-                self.scene = Scene(replace(self.info, rig=rig), self.config, known)
+                self.scene = Scene(replace(self.info, rig=rig), self.config, known, self.scene.division)
                 self._fuse_all(frames, on_frame)
             self._fuse_again(frames, on_frame, refined_script(self.scene, frames))
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
@@ -277,7 +279,7 @@ class Encoder:
             config = self._with_cells(factor)
             if factor < 1 and config.cell_factor < least:
                 return inf
-            scene = Scene(self.scene.info, config, script)
+            scene = Scene(self.scene.info, config, script, self.scene.division)
             for frame in some:
                 scene.add(frame)
             return trial_error(scene, some, shifts and shifts[::step], room)
@@ -306,7 +308,7 @@ class Encoder:
     def _fuse_again(
         self, frames: FrameSequence, on_frame: OnFrame | None, script: Mapping[int, Sequence[Located | None]]
     ) -> None:
-        self.scene = Scene(self.scene.info, self.config, script)
+        self.scene = Scene(self.scene.info, self.config, script, self.scene.division)
         self._fuse_all(frames, on_frame)
 
     def _take(self, frame: Frame, on_frame: OnFrame | None) -> None:

@@ -45,7 +45,6 @@ from threedvc.readout import REGION_SHIFT, Surface, read_surface
 from threedvc.refinement import mean_misfit, misfit_frames
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.scene import Scene, SceneObject
-from threedvc.segmentation import segment
 from threedvc.trials import color_settings, one_shot
 
 __all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
@@ -373,7 +372,7 @@ class _Fit:
             return None
         chosen = range(0, len(self._frames), -(-len(self._frames) // BACKDROP_FRAMES))
         limited = (scene.limited(self._frames[index]) for index in chosen)
-        seen = ((frame.depth, segment(frame, scene.config.segmentation, scene.info) > 0) for frame in limited)
+        seen = ((frame.depth, scene.labels(frame) > 0) for frame in limited)
         size, views = self._background_bytes(), self._background_views()
         misfit, beyond = views.misfit(self.colors.models[0])
 

@@ -21,14 +21,16 @@ from threedvc.registration import ModelView, RegistrationConfig, Status, registe
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
-__all__ = ["Located", "Script", "Tracker", "known_pose", "motion_of", "refined"]
+__all__ = ["UNSEEN", "Located", "Script", "Tracker", "known_pose", "motion_of", "refined"]
 
 SAME_SURFACE = 0.03
+UNSEEN = "unseen"
+"""Status of an object that is not in sight, at the pose it is taken to have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Located:
-    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak or lost."""
+    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak, lost or unseen."""
 
     T_camera_object: Pose
     status: str
@@ -36,7 +38,7 @@ class Located:
     @property
     def usable(self) -> bool:
         """Whether the frame may be fused at this pose."""
-        return self.status != Status.LOST
+        return self.status not in (Status.LOST, UNSEEN)
 
 
 Script: TypeAlias = dict[int, list[Located | None]]
@@ -136,6 +138,10 @@ class Tracker:
         self._poses = [last, pose]
         self._remember(views, whole)
         return Located(T_camera_object=pose, status=found.status)
+
+    def resume(self, T_camera_object: Pose) -> None:
+        """Go on from a pose: the object was out of sight, or was found by other means."""
+        self._poses, self._resting, self._last = [T_camera_object], False, None
 
     def _remember(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
         form = views.form(mask)

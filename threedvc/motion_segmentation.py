@@ -33,17 +33,20 @@ from threedvc.registration import Status
 from threedvc.registration_starts import predict
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
 
-__all__ = ["Divider", "Reduction"]
+__all__ = ["PASSING", "Body", "Divider", "Reduction"]
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Labels = NDArray[np.uint16]
 
 WORKING_PIXELS = 80_000
 NEAR_OFFSETS = (3, 6, 10, 15, 21, 28, 36, 45, 55, 66, 78, 91, 105)
-STILL_LOOKS = 12
+LANDMARK, MAX_LANDMARKS = 4, 16
+"""Frames apart of those that all frames ask while the camera rests, and how many there may be before they are thinned."""
+MAX_KEPT = 800
 VOTES = 2
 JUMP = 0.03
-LEAST_PIXELS = 40
+LEAST_PIXELS = 60
 LEAST_AREA_M2 = 0.0006
 COARSE_GATE, FINE_GATE = 0.03, 0.01
 GATE_SIGMAS = 4.0
@@ -51,6 +54,12 @@ VIEW_WINDOW = 5
 OWN_OFFSETS = (2, 4, 7, 11, 16, 22, 30, 40)
 LOST_FRAMES = 5
 YOUNG_FRAMES = 10
+TRANSIENT = 0.6
+LEAST_FRAMES, LEAST_FIT = 10, 0.6
+LEAST_WAY_M, LEAST_WAY = 0.02, 0.03
+GONE, AGREEMENT = 0.5, 0.7
+PASSING = 65535
+"""Label of what moves and belongs to no body."""
 CELL_PIXELS = 2.0
 FUSION = FusionConfig()
 
@@ -98,7 +107,9 @@ class Body:
         self.tracker = tracker
         self.found: dict[int, Located] = {}
         self.fit: dict[int, float] = {}
-        self.pixels: dict[int, int] = {}
+        self.gone = False
+        self.proved = False
+        self.radius = 0.0
         self.lost = 0
         self.dead = False
 
@@ -133,9 +144,10 @@ class _Look:
     views: FrameViews
     seen: Observation
     moving: Mask
+    transient: Floats
     groups: NDArray[np.int32]
     gate: Floats
-    labels: NDArray[np.uint8]
+    labels: Labels
 
 
 class Divider:
@@ -160,6 +172,10 @@ class Divider:
         self.bodies: list[Body] = []
         self._known = info.has_camera_poses and config.motion is not Motion.TRACK
         self._room: EvidenceModel | None = None
+        self._every = 1 + (info.frame_count or 0) // MAX_KEPT
+        self._landmark = self._every * LANDMARK
+        while (info.frame_count or 0) > MAX_LANDMARKS * self._landmark:
+            self._landmark *= 2
 
     def limited(self, frame: Frame) -> Frame:
         """Return a frame reduced, without what is too far to be measured."""
@@ -177,7 +193,8 @@ class Divider:
         small = self.limited(frame)
         pose = self._camera_pose(small)
         self.poses.append(pose)
-        self.memory.keep(frame.index, small.depth)
+        if frame.index % self._every == 0:
+            self.memory.keep(frame.index, small.depth)
 
     def _camera_pose(self, frame: Frame) -> Pose | None:
         assert self.sensor is not None
@@ -204,27 +221,65 @@ class Divider:
         return self.poses[frame] if 0 <= frame < len(self.poses) else None
 
     def _others(self, frame: int) -> list[int]:
-        count = len(self.poses)
-        others = {frame + sign * k for k in NEAR_OFFSETS for sign in (-1, 1)}
+        """Return the frames to ask: some near in time, and while the camera rests some of all."""
+        near = {frame + sign * k for k in NEAR_OFFSETS for sign in (-1, 1)}
+        others = {k - k % self._every for k in near}
         pose = self.pose_of(frame)
-        for k in np.linspace(0, count - 1, STILL_LOOKS).astype(int).tolist():
+        for k in range(0, len(self.poses), self._landmark):
             there = self.pose_of(k)
             if pose is not None and there is not None and np.array_equal(pose, there):
                 others.add(k)
-        return sorted(k for k in others if 0 <= k < count and k != frame)
+        return sorted(k for k in others if 0 <= k < len(self.poses) and k != frame)
 
-    def divide(self, frame: Frame) -> NDArray[np.uint8]:
+    def forget(self, frame: int) -> None:
+        """Drop what only frames near in time to `frame` would ask for, all frames up to it being divided."""
+        old = frame - NEAR_OFFSETS[-1] - 1
+        if old % self._landmark:
+            self.memory.forget(old)
+        while len(self.poses) > MAX_LANDMARKS * self._landmark:
+            for k in range(self._landmark, old, 2 * self._landmark):
+                self.memory.forget(k)
+            self._landmark *= 2
+
+    def divide(self, frame: Frame) -> Labels:
         """Divide a frame that was looked at; return the bodies' numbers (h, w) at the reduced pixels."""
         small = self.limited(frame)
         look = self._prepared(small)
         if look is None:
-            return np.zeros(small.depth.shape, np.uint8)
+            return np.zeros(small.depth.shape, np.uint16)
         active = [body for body in self.bodies if body.active]
         self._follow(look, active)
         self._explain(look, active)
         self._give_birth(look)
+        self._complete(look)
         self._fuse(look)
-        return look.labels
+        self._miss(look)
+        return np.where(look.labels, look.labels, np.where(self._passing(look), PASSING, 0)).astype(np.uint16)
+
+    def _passing(self, look: _Look) -> Mask:
+        """Tell which moving pixels belong to surfaces that hardly any frame saw at rest."""
+        groups = look.groups
+        sizes = np.maximum(np.bincount(groups.ravel()), 1)
+        passing = np.bincount(groups.ravel(), look.transient.ravel()) / sizes > TRANSIENT
+        passing[0] = False
+        return passing[groups]
+
+    def _miss(self, look: _Look) -> None:
+        """Note which bodies are no longer where they were last."""
+        index, depth, room = look.frame.index, look.frame.depth, self.pose_of(look.frame.index)
+        for body in self.bodies:
+            if index in body.found:
+                body.gone = False
+            elif self.is_object(body) and not body.gone and room is not None:
+                at = body.found[body.last].T_camera_object
+                there = self.pose_of(body.last)
+                if there is None:
+                    continue
+                view = cast_view(body.model, self._form, room @ inverse(there) @ at, self.threads).depth
+                known = (view > 0) & (depth > 0)
+                empty = known & (depth > view + look.gate + np.float32(FINE_GATE) * depth)
+                if np.count_nonzero(empty) > max(LEAST_PIXELS / 2, GONE * np.count_nonzero(known)):
+                    body.gone = True
 
     def _prepared(self, frame: Frame) -> _Look | None:
         pose = self.pose_of(frame.index)
@@ -233,7 +288,6 @@ class Divider:
         assert self.sensor is not None
         depth = frame.depth
         through, on = self.memory.sights(depth, depth > 0, pose, self._others(frame.index), self.pose_of)
-        self.through, self.on = through, on
         square = np.ones((3, 3), np.uint8)
         moving = (through >= VOTES).astype(np.uint8)
         core = cv2.dilate(cv2.morphologyEx(moving, cv2.MORPH_OPEN, square), square)
@@ -244,9 +298,10 @@ class Divider:
             views=FrameViews(frame, self._form, self._form),
             seen=observe(frame, self.rig, self._rays),
             moving=moving,
+            transient=through / np.maximum(through.astype(np.float32) + on, 1),
             groups=_surfaces(depth, moving),
             gate=np.float32(GATE_SIGMAS) * sigma,
-            labels=np.zeros(depth.shape, np.uint8),
+            labels=np.zeros(depth.shape, np.uint16),
         )
 
     def _follow(self, look: _Look, bodies: Sequence[Body]) -> None:
@@ -262,26 +317,26 @@ class Divider:
 
     def _locate(self, body: Body, look: _Look, mask: Mask) -> None:
         index = look.frame.index
-        if np.count_nonzero(mask) < LEAST_PIXELS:
+        at = body.tracker.locate(look.views, mask, body.model) if np.count_nonzero(mask) >= LEAST_PIXELS else None
+        if at is None or not at.usable:
             body.lost += 1
-            return
-        at = body.tracker.locate(look.views, mask, body.model)
-        if not at.usable:
-            body.lost += 1
-            if index - body.born < YOUNG_FRAMES and body.lost > 1:
-                body.dead = True
+            body.dead = body.lost > (LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1) and not self.is_object(body)
             return
         body.lost = 0
         body.found[index] = at
 
-    def _nearest(self, look: _Look, poses: Sequence[tuple[Body, Pose]], gate: Floats) -> NDArray[np.uint8]:
+    def _nearest(self, look: _Look, poses: Sequence[tuple[Body, Pose]], gate: Floats) -> Labels:
         """Return for each moving pixel the number of the body at whose surface it lies, within a gate (h, w)."""
         depth = look.frame.depth
         least = np.ones(depth.shape, np.float32)
-        owner = np.zeros(depth.shape, np.uint8)
+        owner = np.zeros(depth.shape, np.uint16)
         for body, pose in poses:
-            off = _distance(depth, cast_view(body.model, self._form, pose, self.threads).depth) / np.maximum(gate, 1e-6)
+            view = cast_view(body.model, self._form, pose, self.threads).depth
+            off = _distance(depth, view) / np.maximum(gate, 1e-6)
             mine = look.moving & (off < least)
+            if self.is_object(body):
+                # What stands still for long is no longer seen to move.
+                mine |= (view > 0) & (depth > 0) & (np.abs(depth - view) < look.gate + FINE_GATE * depth) & (off < least)
             owner[mine], least[mine] = body.number, off[mine]
         return owner
 
@@ -292,8 +347,6 @@ class Divider:
         gate = look.gate + np.float32(FINE_GATE) * depth
         look.labels = self._nearest(look, [(body, body.found[index].T_camera_object) for body in found], gate)
         for body in found:
-            own = look.labels == body.number
-            body.fit[index] = np.count_nonzero(own)
             self._extend(body, look)
 
     def _extend(self, body: Body, look: _Look) -> None:
@@ -323,15 +376,22 @@ class Divider:
             if group == 0:
                 continue
             mask = groups == group
+            if float(look.transient[mask].mean()) < TRANSIENT:
+                continue
             body = self._returned(look, mask) or self._new(look, mask)
-            if body is not None:
-                look.labels[mask] = body.number
+            look.labels[mask] = body.number
+
+    def _complete(self, look: _Look) -> None:
+        """Give what is too small to be a body to the one that it is connected with."""
+        for number in np.unique(look.labels[look.moving]).tolist():
+            for group in _shares(look.groups, look.labels, number) if number else ():
+                look.labels[(look.groups == group) & (look.labels == 0)] = number
 
     def _returned(self, look: _Look, mask: Mask) -> Body | None:
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(FINE_GATE) * depth
         for body in self.bodies:
-            if body.dead or body.active or index in body.found:
+            if body.active or index in body.found or not self.is_object(body):
                 continue
             at = body.tracker.locate(look.views, mask, body.model)
             if at.status != Status.TRACKED:
@@ -347,17 +407,55 @@ class Divider:
                 return body
         return None
 
-    def _new(self, look: _Look, mask: Mask) -> Body | None:
+    def is_object(self, body: Body) -> bool:
+        """Tell whether a body moved as one, for long and far enough."""
+        if body.proved:
+            return True
+        frames = [k for k in body.found if body.pose_of(k) is not None]
+        if len(frames) < LEAST_FRAMES or np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
+            return False
+        way = self.way(body)
+        body.proved = way > max(LEAST_WAY_M, LEAST_WAY * float(body.found[frames[0]].T_camera_object[2, 3]))
+        return body.proved
+
+    def way(self, body: Body) -> float:
+        """Return how far in metres the points of a body went from where it was first, on an average."""
+        places = []
+        for k in sorted(body.found):
+            at, room = body.pose_of(k), self.pose_of(k)
+            if at is not None and room is not None:
+                places.append(inverse(room) @ at)
+        moves = [inverse(places[0]) @ place for place in places]
+        return max((float(np.hypot(np.linalg.norm(m[:3, 3]), body.radius * rotation_angle(m))) for m in moves), default=0)
+
+    def _new(self, look: _Look, mask: Mask) -> Body:
         assert self.sensor is not None
-        used = {body.number for body in self.bodies}
-        number = next((k for k in range(1, 255) if k not in used), None)
-        if number is None:
-            return None
-        frame = look.frame
+        number, frame = len(self.bodies) + 1, look.frame
         body = Body(number, frame.index, _cell(frame.depth, mask, self.rig), Tracker(self.sensor, self.threads))
         body.found[frame.index] = body.tracker.start(look.views, mask, number, self.rig)
+        body.radius = float(np.sqrt(np.sum((frame.depth[mask] / self.rig.depth.fx) ** 2) / np.pi))
         self.bodies.append(body)
         return body
+
+    def resting(self, body: Body, frame: Frame) -> Mask | None:
+        """Return the pixels (h, w) of a frame before a body was found that show it where it was first, or None.
+
+        For it to have been there, most of what is seen of it must be measured, or hidden by something.
+        """
+        small, first = self.limited(frame), min(body.found)
+        room, there = self.pose_of(frame.index), self.pose_of(first)
+        if room is None or there is None:
+            return None
+        assert self.sensor is not None
+        pose = room @ inverse(there) @ body.found[first].T_camera_object
+        view = cast_view(body.model, self._form, pose, self.threads).depth
+        depth = small.depth
+        gate = (GATE_SIGMAS * self.sensor.sigma_m(depth.astype(np.float64)) + FINE_GATE * depth).astype(np.float32)
+        known = (view > 0) & (depth > 0)
+        on, hidden = known & (np.abs(depth - view) < gate), known & (depth < view - gate)
+        if np.count_nonzero(on) < max(LEAST_PIXELS, AGREEMENT * np.count_nonzero(known & ~hidden)):
+            return None
+        return on
 
     def _fuse(self, look: _Look) -> None:
         assert self.sensor is not None
@@ -366,7 +464,6 @@ class Divider:
             pose = body.pose_of(index)
             mask = look.labels == body.number
             if pose is not None and mask.any():
-                body.pixels[index] = int(np.count_nonzero(mask))
                 fuse(body.model, look.seen, mask, pose, self.sensor, FUSION, self.threads)
 
 
@@ -383,12 +480,12 @@ def _surfaces(depth: Floats, chosen: Mask) -> NDArray[np.int32]:
     return groups
 
 
-def _shares(groups: NDArray[np.int32], owner: NDArray[np.uint8], number: int) -> list[int]:
+def _shares(groups: NDArray[np.int32], owner: Labels, number: int) -> list[int]:
     """Return the surfaces of which a body has more pixels than any other body."""
     mine = np.bincount(groups[owner == number], minlength=groups.max() + 1)
     chosen = []
     for group in np.flatnonzero(mine).tolist():
-        owners = np.bincount(owner[groups == group], minlength=256)
+        owners = np.bincount(owner[groups == group], minlength=number + 1)
         if group and owners[1:].max() == owners[number]:
             chosen.append(group)
     return chosen

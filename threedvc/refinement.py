@@ -22,7 +22,6 @@ from threedvc.motion import Located, Script, refined
 from threedvc.readout import read_surface
 from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
-from threedvc.segmentation import segment
 
 __all__ = ["calibrated_rig", "depth_misfit", "mean_misfit", "misfit_frames", "refined_script"]
 
@@ -57,7 +56,7 @@ def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConf
     """Register every object in every frame once more; one that rests in the script goes on resting."""
     script: Script = {number: [] for number in scene.objects}
     for frame in map(scene.limited, frames):
-        labels = segment(frame, scene.config.segmentation, scene.info)
+        labels = scene.labels(frame)
         views = scene.views(frame)
         for number, item in scene.objects.items():
             script[number].append(_refined(scene, item, views, labels == number, script[number], config))
@@ -89,7 +88,7 @@ def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
 
     def pictures(index: int, at: Located) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         frame = scene.limited(frames[index])
-        mask = segment(frame, scene.config.segmentation, scene.info) == 0
+        mask = scene.labels(frame) == 0
         form = scene.views(frame).form(mask)
         view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads)
         return view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))

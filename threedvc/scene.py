@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
+from threedvc.division import NOTHING, Division
 from threedvc.evidence_view import FrameViews, Thinned
 from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
-from threedvc.motion import Located, Tracker, known_pose, motion_of
+from threedvc.motion import UNSEEN, Located, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
-from threedvc.pose import Pose, identity
+from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.rate_control import live_cell_factor
 from threedvc.segmentation import segment
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
@@ -34,6 +35,8 @@ BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 SIGHT_FRAMES = 5
+AWAY_M = 1000.0
+"""Where an object is put that left: so far behind the camera that nobody will see it."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
@@ -97,6 +100,16 @@ class SceneObject:
         """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
         return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
 
+    @property
+    def last_seen(self) -> int:
+        """The last frame in which it was found."""
+        return max(frame for frame, at in enumerate(self.found) if at is not None and at.status != UNSEEN)
+
+    @property
+    def out_of_sight(self) -> bool:
+        """Whether it was not in sight in the last frame."""
+        return bool(self.found) and self.found[-1] is not None and self.found[-1].status == UNSEEN
+
     def record(self, frame: int, at: Located | None) -> None:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
         if at is not None and self.born is None:
@@ -120,6 +133,8 @@ class Scene:
         Choices.
     script
         Where every object is in every frame, from an earlier pass; None: find out.
+    division
+        Labels of the frames where these are divided by motion; None: find them as the frames come.
 
     Attributes
     ----------
@@ -133,10 +148,17 @@ class Scene:
     """
 
     def __init__(
-        self, info: SequenceInfo, config: EncoderConfig, script: Mapping[int, Sequence[Located | None]] | None = None
+        self,
+        info: SequenceInfo,
+        config: EncoderConfig,
+        script: Mapping[int, Sequence[Located | None]] | None = None,
+        division: Division | None = None,
     ) -> None:
         self.info, self.config = info, config
         self._script = script
+        if division is None and config.segmentation.mode is SegmentationMode.MOTION:
+            division = Division(info, config)
+        self.division = division
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
         self.repeated: list[bool] = []
@@ -172,14 +194,15 @@ class Scene:
         sensor = self._sensor
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
-        labels = segment(frame, self.config.segmentation, self.info)
+        labels = self.labels(frame)
         if self._live_factor is None:
             self._live_factor = self._rated_factor(frame, labels)
         seen = observe(frame, self.info.rig, self._rays)
         views = self.views(frame)
         worst = STATUS_ORDER[0]
         self.gains.append(self.gains[-1] if self.gains else NEUTRAL)
-        for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
+        numbers = {0, *np.unique(labels).tolist(), *self.objects}
+        for number in sorted(numbers - {NOTHING} if self.division else numbers):
             mask = labels == number
             item = self._object(number, frame, mask, sensor)
             if item is None:
@@ -187,16 +210,41 @@ class Scene:
             if self._script is not None:
                 found = self._script[number][frame.index]
             else:
-                found = item.locate(views, mask, self.info.rig, self._one_object)
+                found = self._located(item, views, mask)
             item.record(frame.index, found)
             if found is not None:
-                worst = max(worst, str(found.status), key=STATUS_ORDER.index)
+                if found.status != UNSEEN:
+                    worst = max(worst, str(found.status), key=STATUS_ORDER.index)
                 if found.usable and not self.repeated[-1]:
                     if number == 0 and self.config.causal:
                         seen = self._exposed(item, seen, mask, found.T_camera_object)
                     self._fuse(item, seen, mask, found.T_camera_object, sensor)
         self.timestamps.append(frame.timestamp_ns)
         return worst
+
+    def labels(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return the objects' numbers (h, w) at the pixels of a frame's depth picture."""
+        if self.division is not None:
+            return self.division.labels(frame)
+        return segment(frame, self.config.segmentation, self.info)
+
+    def _located(self, item: SceneObject, views: FrameViews, mask: NDArray[np.bool_]) -> Located | None:
+        """Find an object in a frame; one that is out of sight stays in the background where it was, or is gone."""
+        if self.division is None or not item.number or item.born is None:
+            return item.locate(views, mask, self.info.rig, self._one_object)
+        last, world = item.poses[-1], self.objects[0].poses
+        T_camera_object = last if np.array_equal(world[-1], world[-2]) else world[-1] @ inverse(world[-2]) @ last
+        at = None
+        if self.division.is_seen(item.number, views.frame):
+            if item.out_of_sight and item.tracker is not None:
+                guess = self.division.way(item.number, item.last_seen, views.frame.index)
+                item.tracker.resume(item.poses[item.last_seen] if guess is None else guess @ item.poses[item.last_seen])
+            at = item.locate(views, mask, self.info.rig, self._one_object)
+        if at is not None:
+            return at
+        if self.division.is_gone(item.number, views.frame) and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
+            T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
+        return Located(T_camera_object=T_camera_object, status=UNSEEN)
 
     @property
     def sensor(self) -> SensorModel:
@@ -244,7 +292,7 @@ class Scene:
             return self.objects[number]
         if number and np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
             return None
-        tracked = not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK
+        tracked = not self._stands_still(number) and self._is_tracked(number)
         size = self.config.voxel_size_m
         if size is None:
             size = default_voxel_size(frame.depth, mask, self.info)
@@ -255,6 +303,11 @@ class Scene:
         tracker = Tracker(sensor, self.config.threads) if tracked else None
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
+
+    def _is_tracked(self, number: int) -> bool:
+        """Objects found by their motion bear no relation to the poses that the input may have."""
+        by_motion = number > 0 and self.division is not None
+        return by_motion or motion_of(number, self.info, self.config.motion) is Motion.TRACK
 
     def _rated_factor(self, frame: Frame, labels: NDArray[np.uint8]) -> float:
         """Return by how much wider cells a live encoder takes for its rate, as it can tell from the first frame."""
