@@ -132,7 +132,9 @@ def segmentation(text: str) -> SegmentationConfig:
         return SegmentationConfig(mode=SegmentationMode(text))
     near, dots, far = text.removeprefix("depth:").partition("..")
     if not text.startswith("depth:") or not dots:
-        raise click.BadParameter(f"{text!r} is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m")
+        raise click.BadParameter(
+            f"{text!r} is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"
+        )
     return SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=length(near), far_m=length(far))
 
 

@@ -4,20 +4,22 @@
 from __future__ import annotations
 
 import zlib
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import EncoderConfig
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
-from threedvc.pose import Pose, inverse
 from threedvc.motion_segmentation import PASSING, Body, Divider
+from threedvc.pose import Pose, inverse
 
-__all__ = ["NOTHING", "Division", "divided"]
+__all__ = ["NOTHING", "Division"]
 
 NOTHING = 255
 """Label of pixels that belong neither to the background nor to an object, such as of hands."""
 MAX_OBJECTS = 200
+Whole = TypeVar("Whole", np.uint8, np.uint16)
 
 
 class Division:
@@ -49,13 +51,11 @@ class Division:
             for body in self._divider.bodies:
                 if body.number not in self._numbers and self._divider.is_object(body):
                     self._number(body)
-            self._keep(frame, raw)
+            gone = {body.number for body in self._divider.bodies if body.gone}
+            self._keep(frame.timestamp_ns, frame.index, raw, gone)
             self._divider.forget(frame.index)
-        reduction = self._divider.reduction
-        camera = reduction.rig.depth
-        packed = zlib.decompress(self._labels[frame.timestamp_ns])
-        small = np.frombuffer(packed, np.uint8).reshape(camera.height, camera.width)
-        return reduction.spread(small, frame.depth, self._threads)
+        small = self._unpacked(self._labels[frame.timestamp_ns], np.uint8)
+        return self._divider.reduction.spread(small, frame.depth, self._threads)
 
     def is_seen(self, number: int, frame: Frame) -> bool:
         """Tell whether an object was found in a frame."""
@@ -75,49 +75,50 @@ class Division:
         if len(self._numbers) < MAX_OBJECTS:
             self._numbers[body.number] = len(self._numbers) + 1
 
-    def _keep(self, frame: Frame, raw: NDArray[np.uint16]) -> None:
-        table = np.full(PASSING + 1, 0, dtype=np.uint8)
-        table[1 : len(self._divider.bodies) + 1] = NOTHING
-        table[PASSING] = NOTHING
+    def _keep(self, time_ns: int, index: int, raw: NDArray[np.uint16], gone: set[int]) -> None:
+        """Keep the labels of a frame, given the bodies' numbers (h, w), and which objects are in it."""
+        table = np.zeros(PASSING + 1, dtype=np.uint8)
+        table[1 : len(self._divider.bodies) + 1] = table[PASSING] = NOTHING
         for body, number in self._numbers.items():
             table[body] = number
-        key = frame.timestamp_ns
-        self._labels[key] = zlib.compress(table[raw].tobytes(), 1)
-        known = [body for body in self._divider.bodies if body.number in self._numbers]
-        self._seen[key] = {self._numbers[body.number] for body in known if body.pose_of(frame.index) is not None}
-        self._gone[key] = {self._numbers[body.number] for body in known if body.gone}
+        self._labels[time_ns] = zlib.compress(table[raw].tobytes(), 1)
+        found = {body.number for body in self._divider.bodies if body.pose_of(index) is not None}
+        self._seen[time_ns], self._gone[time_ns] = self._public(found), self._public(gone)
+
+    def _public(self, bodies: set[int]) -> set[int]:
+        return {self._numbers[body] for body in bodies if body in self._numbers}
 
     def take(self, frames: FrameSequence) -> None:
         """Divide a sequence as a whole: every frame with what all others saw."""
-        divider, raw, gone = self._divider, {}, {}
+        divider = self._divider
         for frame in frames:
             divider.look(frame)
+        raw: list[tuple[int, bytes, set[int]]] = []
         for frame in frames:
-            raw[frame.index] = zlib.compress(divider.divide(frame).tobytes(), 1)
-            gone[frame.index] = {body.number for body in divider.bodies if body.gone}
-        objects = [body for body in divider.bodies if divider.is_object(body)]
-        for body in objects:
-            self._number(body)
-        camera = divider.reduction.rig.depth
-        resting = set(objects)
-        for frame in reversed(list(range(len(frames)))):
-            labels = np.frombuffer(zlib.decompress(raw[frame]), np.uint16).reshape(camera.height, camera.width).copy()
-            picture = frames[frame]
-            there = set()
-            for body in [body for body in resting if body.born > frame]:
-                mask = divider.resting(body, picture)
-                if mask is None:
-                    resting.remove(body)
-                    continue
-                labels[mask] = body.number
-                there.add(self._numbers[body.number])
-            self._keep(picture, labels)
-            self._seen[picture.timestamp_ns] |= there
-            self._gone[picture.timestamp_ns] = {self._numbers[k] for k in gone[frame] if k in self._numbers}
+            packed = zlib.compress(divider.divide(frame).tobytes(), 1)
+            raw.append((frame.timestamp_ns, packed, {body.number for body in divider.bodies if body.gone}))
+        for body in divider.bodies:
+            if divider.is_object(body):
+                self._number(body)
+        for index, (time_ns, packed, gone) in enumerate(raw):
+            self._keep(time_ns, index, self._unpacked(packed, np.uint16), gone)
+        for body in divider.bodies:
+            if body.number in self._numbers:
+                self._extend_back(body, frames)
 
+    def _extend_back(self, body: Body, frames: FrameSequence) -> None:
+        """Label an object that stood still before it was found to move, from there back to where it came from."""
+        number = self._numbers[body.number]
+        for index in range(body.born - 1, -1, -1):
+            frame = frames[index]
+            mask = self._divider.resting(body, frame)
+            if mask is None:
+                return
+            labels = self._unpacked(self._labels[frame.timestamp_ns], np.uint8)
+            free = (labels == 0) | (labels == NOTHING)
+            self._labels[frame.timestamp_ns] = zlib.compress(np.where(mask & free, np.uint8(number), labels).tobytes())
+            self._seen[frame.timestamp_ns].add(number)
 
-def divided(frames: FrameSequence, config: EncoderConfig) -> Division:
-    """Divide a sequence that can be read again."""
-    division = Division(frames.info, config)
-    division.take(frames)
-    return division
+    def _unpacked(self, packed: bytes, kind: type[Whole]) -> NDArray[Whole]:
+        camera = self._divider.rig.depth
+        return np.frombuffer(zlib.decompress(packed), kind).reshape(camera.height, camera.width)

@@ -10,9 +10,8 @@ enough; the labels of others go back to the background, or to nothing where hard
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,14 +20,14 @@ from numpy.typing import NDArray
 from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, FusionConfig, Motion, Sensor
 from threedvc.evidence_view import FrameViews, Thinned, cast_view
-from threedvc.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.frame import Frame, SequenceInfo
 from threedvc.free_space import Memory
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.kernels.free_space import connect_surfaces, spread_labels
 from threedvc.motion import Located, Tracker
 from threedvc.object_model import EvidenceModel
 from threedvc.parallel import for_ranges
-from threedvc.pose import Pose, identity, inverse, rotation_angle
+from threedvc.pose import Pose, inverse, rotation_angle
 from threedvc.registration import Status
 from threedvc.registration_starts import predict
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
@@ -42,7 +41,7 @@ Labels = NDArray[np.uint16]
 WORKING_PIXELS = 80_000
 NEAR_OFFSETS = (3, 6, 10, 15, 21, 28, 36, 45, 55, 66, 78, 91, 105)
 LANDMARK, MAX_LANDMARKS = 4, 16
-"""Frames apart of those that all frames ask while the camera rests, and how many there may be before they are thinned."""
+"""Frames apart of those that all frames ask while the camera rests, and how many there may be before they thin out."""
 MAX_KEPT = 800
 VOTES = 2
 JUMP = 0.03
@@ -289,9 +288,9 @@ class Divider:
         depth = frame.depth
         through, on = self.memory.sights(depth, depth > 0, pose, self._others(frame.index), self.pose_of)
         square = np.ones((3, 3), np.uint8)
-        moving = (through >= VOTES).astype(np.uint8)
-        core = cv2.dilate(cv2.morphologyEx(moving, cv2.MORPH_OPEN, square), square)
-        moving = (cv2.morphologyEx(moving & core, cv2.MORPH_CLOSE, square) > 0) & (depth > 0)
+        seen_through = (through >= VOTES).astype(np.uint8)
+        core = cv2.dilate(cv2.morphologyEx(seen_through, cv2.MORPH_OPEN, square), square)
+        moving: Mask = (cv2.morphologyEx(seen_through & core, cv2.MORPH_CLOSE, square) > 0) & (depth > 0)
         sigma = self.sensor.sigma_m(depth.astype(np.float64)).astype(np.float32)
         return _Look(
             frame=frame,
@@ -320,7 +319,9 @@ class Divider:
         at = body.tracker.locate(look.views, mask, body.model) if np.count_nonzero(mask) >= LEAST_PIXELS else None
         if at is None or not at.usable:
             body.lost += 1
-            body.dead = body.lost > (LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1) and not self.is_object(body)
+            body.dead = body.lost > (LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1) and not self.is_object(
+                body
+            )
             return
         body.lost = 0
         body.found[index] = at
@@ -336,7 +337,9 @@ class Divider:
             mine = look.moving & (off < least)
             if self.is_object(body):
                 # What stands still for long is no longer seen to move.
-                mine |= (view > 0) & (depth > 0) & (np.abs(depth - view) < look.gate + FINE_GATE * depth) & (off < least)
+                mine |= (
+                    (view > 0) & (depth > 0) & (np.abs(depth - view) < look.gate + FINE_GATE * depth) & (off < least)
+                )
             owner[mine], least[mine] = body.number, off[mine]
         return owner
 
@@ -355,8 +358,8 @@ class Divider:
         free = np.zeros_like(look.moving)
         for group in _shares(look.groups, look.labels, body.number):
             free |= (look.groups == group) & (look.labels == 0)
-        total = np.count_nonzero(free) + np.count_nonzero(look.labels == body.number)
-        body.fit[index] = np.count_nonzero(look.labels == body.number) / max(total, 1)
+        explained = int(np.count_nonzero(look.labels == body.number))
+        body.fit[index] = explained / max(explained + int(np.count_nonzero(free)), 1)
         if not free.any():
             return
         others = [index - k for k in OWN_OFFSETS]
@@ -367,7 +370,7 @@ class Divider:
 
     def _give_birth(self, look: _Look) -> None:
         """Make bodies of connected surfaces that move and belong to none."""
-        index, depth = look.frame.index, look.frame.depth
+        depth = look.frame.depth
         free = look.moving & (look.labels == 0)
         groups = _surfaces(depth, free)
         sizes = np.bincount(groups.ravel())
@@ -426,7 +429,9 @@ class Divider:
             if at is not None and room is not None:
                 places.append(inverse(room) @ at)
         moves = [inverse(places[0]) @ place for place in places]
-        return max((float(np.hypot(np.linalg.norm(m[:3, 3]), body.radius * rotation_angle(m))) for m in moves), default=0)
+        return max(
+            (float(np.hypot(np.linalg.norm(m[:3, 3]), body.radius * rotation_angle(m))) for m in moves), default=0
+        )
 
     def _new(self, look: _Look, mask: Mask) -> Body:
         assert self.sensor is not None
@@ -455,7 +460,7 @@ class Divider:
         on, hidden = known & (np.abs(depth - view) < gate), known & (depth < view - gate)
         if np.count_nonzero(on) < max(LEAST_PIXELS, AGREEMENT * np.count_nonzero(known & ~hidden)):
             return None
-        return on
+        return np.asarray(on, dtype=np.bool_)
 
     def _fuse(self, look: _Look) -> None:
         assert self.sensor is not None
@@ -492,7 +497,7 @@ def _shares(groups: NDArray[np.int32], owner: Labels, number: int) -> list[int]:
 
 
 def _distance(depth: Floats, view: Floats) -> Floats:
-    """Return how far (h, w) depths are from those that a view shows about their pixels; infinite where it shows none."""
+    """Return how far (h, w) depths are from those that a view shows about them; infinite where it shows none."""
     square = np.ones((VIEW_WINDOW, VIEW_WINDOW), np.uint8)
     low = cv2.erode(np.where(view > 0, view, np.float32(np.inf)), square)
     high = cv2.dilate(view, square)

@@ -13,7 +13,7 @@ from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.division import NOTHING, Division
-from threedvc.evidence_view import FrameViews, Thinned
+from threedvc.evidence_view import FrameViews, Thinned, cast_view
 from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
@@ -21,7 +21,8 @@ from threedvc.motion import UNSEEN, Located, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.rate_control import live_cell_factor
-from threedvc.segmentation import segment
+from threedvc.registration_starts import predict
+from threedvc.segmentation import resolved_mode, segment
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
 from threedvc.uncertainty import EntropyMeter
 
@@ -35,6 +36,7 @@ BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 REFERENCE_PIXELS = 640 * 480
 SIGHT_FRAMES = 5
+PREDICTION_GATE = 0.03
 AWAY_M = 1000.0
 """Where an object is put that left: so far behind the camera that nobody will see it."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
@@ -207,10 +209,8 @@ class Scene:
             item = self._object(number, frame, mask, sensor)
             if item is None:
                 continue
-            if self._script is not None:
-                found = self._script[number][frame.index]
-            else:
-                found = self._located(item, views, mask)
+            script = self._script
+            found = self._located(item, views, mask) if script is None else script[number][frame.index]
             item.record(frame.index, found)
             if found is not None:
                 if found.status != UNSEEN:
@@ -226,7 +226,34 @@ class Scene:
         """Return the objects' numbers (h, w) at the pixels of a frame's depth picture."""
         if self.division is not None:
             return self.division.labels(frame)
+        by_masks = resolved_mode(self.config.segmentation, self.info) is SegmentationMode.MASKS
+        if by_masks and frame.mask is None and self.objects:
+            return self._predicted_labels(frame)
         return segment(frame, self.config.segmentation, self.info)
+
+    def _predicted_labels(self, frame: Frame) -> NDArray[np.uint8]:
+        """Label a frame that has no mask by what the models show at the poses that are known or come next."""
+        labels, depth = np.zeros(frame.depth.shape, dtype=np.uint8), frame.depth
+        gate = 4 * self.sensor.sigma_m(depth.astype(np.float64)) + PREDICTION_GATE * depth
+        nearest = np.full(depth.shape, np.inf)
+        for number, item in self.objects.items():
+            if not number or item.born is None:
+                continue
+            pose = self._expected(item, frame.index)
+            view = cast_view(item.evidence, self._full, pose, self.config.threads).depth
+            off = np.where(depth > 0, np.abs(depth - view), 0)
+            mine = (view > 0) & (off <= gate) & (off < nearest)
+            labels[mine], nearest[mine] = number, off[mine]
+        return labels
+
+    def _expected(self, item: SceneObject, frame: int) -> Pose:
+        """Return the pose of an object in a frame as far as it is known, else at constant velocity."""
+        if frame < len(item.poses):
+            return item.poses[frame]
+        found = self._script[item.number][frame] if self._script is not None else None
+        if found is not None:
+            return found.T_camera_object
+        return predict(*item.poses[-2:]) if len(item.poses) > 1 else item.poses[-1]
 
     def _located(self, item: SceneObject, views: FrameViews, mask: NDArray[np.bool_]) -> Located | None:
         """Find an object in a frame; one that is out of sight stays in the background where it was, or is gone."""

@@ -89,8 +89,16 @@ def test_value(parse: Callable[[str], Any], text: str, value: Any) -> None:
         (focus, "0..1,0..1=4", FOCUS_FORM.format("0..1,0..1=4")),
         (focus, "1=", "'' is not a positive number"),
         (focus, "1=-2", "'-2' is not a positive number"),
-        (segmentation, "depth", "'depth' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"),
-        (segmentation, "0.1..1", "'0.1..1' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"),
+        (
+            segmentation,
+            "depth",
+            "'depth' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m",
+        ),
+        (
+            segmentation,
+            "0.1..1",
+            "'0.1..1' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m",
+        ),
         (segmentation, "depth:1..x", "'x' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
     ],
 )

@@ -128,7 +128,7 @@ def spread_labels(
 
     Where depth is not known the nearest one decides.
     """
-    height, width = depth.shape
+    width = depth.shape[1]
     rows, columns = coarse_labels.shape
     for v in range(start, stop):
         for u in range(width):
