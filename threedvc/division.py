@@ -32,6 +32,11 @@ class Division:
     config
         Choices.
 
+    Attributes
+    ----------
+    camera_rests
+        Whether the camera stands still in a sequence that was taken as a whole.
+
     Frames that are not known yet are divided when they are asked for, in order, as a live encoder needs it.
     """
 
@@ -42,6 +47,7 @@ class Division:
         self._numbers: dict[int, int] = {}
         self._gone: dict[int, set[int]] = {}
         self._seen: dict[int, set[int]] = {}
+        self.camera_rests = False
 
     def labels(self, frame: Frame) -> NDArray[np.uint8]:
         """Return the labels (h, w) of a frame's depth picture: 0 the background, objects, or `NOTHING`."""
@@ -93,6 +99,10 @@ class Division:
         divider = self._divider
         for frame in frames:
             divider.look(frame)
+        first = divider.poses[0]
+        self.camera_rests = first is not None and all(
+            pose is not None and np.array_equal(pose, first) for pose in divider.poses
+        )
         raw: list[tuple[int, bytes, set[int]]] = []
         for frame in frames:
             packed = zlib.compress(divider.divide(frame).tobytes(), 1)

@@ -43,6 +43,7 @@ NEAR_OFFSETS = (3, 6, 10, 15, 21, 28, 36, 45, 55, 66, 78, 91, 105)
 LANDMARK, MAX_LANDMARKS = 4, 16
 """Frames apart of those that all frames ask while the camera rests, and how many there may be before they thin out."""
 MAX_KEPT = 800
+LEAST_STILL = 0.3
 VOTES = 2
 JUMP = 0.03
 LEAST_PIXELS = 60
@@ -53,7 +54,9 @@ VIEW_WINDOW = 5
 OWN_OFFSETS = (2, 4, 7, 11, 16, 22, 30, 40)
 LOST_FRAMES = 5
 YOUNG_FRAMES = 10
-TRANSIENT = 0.6
+BORN, TRANSIENT = 0.25, 0.6
+"""Shares of the frames that tell about a surface that must have seen through it, so that it may be a body, or that it
+certainly moves."""
 LEAST_FRAMES, LEAST_FIT = 10, 0.6
 LEAST_WAY_M, LEAST_WAY = 0.02, 0.03
 GONE, AGREEMENT = 0.5, 0.7
@@ -202,17 +205,21 @@ class Divider:
         everything = np.ones(frame.depth.shape, dtype=np.bool_)
         views = FrameViews(frame, self._form, self._form)
         if self._room is None:
-            self._room = EvidenceModel(_cell(frame.depth, everything, self.rig))
+            self._room, self._still = EvidenceModel(_cell(frame.depth, everything, self.rig)), everything
             at = self._camera.start(views, everything, 0, self.rig)
         else:
-            at = self._camera.locate(views, everything, self._room)
+            at = self._camera.locate(views, self._still, self._room)
         if not at.usable:
+            self._still = everything
             return None
         pose = at.T_camera_object
         before = [frame.index - k for k in NEAR_OFFSETS]
         through, _ = self.memory.sights(frame.depth, everything, pose, before, self.pose_of)
-        still = cv2.dilate((through > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+        moving = cv2.morphologyEx((through > 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        still = cv2.dilate(moving, np.ones((5, 5), np.uint8)) == 0
         fuse(self._room, observe(frame, self.rig, self._rays), still, pose, self.sensor, FUSION, self.threads)
+        # What moves will be near there in the next frame; where most seems to, the pose is wrong rather.
+        self._still = still if np.count_nonzero(still) > LEAST_STILL * still.size else everything
         return pose
 
     def pose_of(self, frame: int) -> Pose | None:
@@ -319,9 +326,8 @@ class Divider:
         at = body.tracker.locate(look.views, mask, body.model) if np.count_nonzero(mask) >= LEAST_PIXELS else None
         if at is None or not at.usable:
             body.lost += 1
-            body.dead = body.lost > (LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1) and not self.is_object(
-                body
-            )
+            patience = LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1
+            body.dead = body.lost > patience and not self.is_object(body)
             return
         body.lost = 0
         body.found[index] = at
@@ -330,16 +336,15 @@ class Divider:
         """Return for each moving pixel the number of the body at whose surface it lies, within a gate (h, w)."""
         depth = look.frame.depth
         least = np.ones(depth.shape, np.float32)
-        owner = np.zeros(depth.shape, np.uint16)
+        owner, known = np.zeros(depth.shape, np.uint16), depth > 0
         for body, pose in poses:
             view = cast_view(body.model, self._form, pose, self.threads).depth
             off = _distance(depth, view) / np.maximum(gate, 1e-6)
-            mine = look.moving & (off < least)
+            mine = look.moving
             if self.is_object(body):
                 # What stands still for long is no longer seen to move.
-                mine |= (
-                    (view > 0) & (depth > 0) & (np.abs(depth - view) < look.gate + FINE_GATE * depth) & (off < least)
-                )
+                mine = mine | (known & (view > 0) & (np.abs(depth - view) < look.gate + FINE_GATE * depth))
+            mine = mine & (off < least)
             owner[mine], least[mine] = body.number, off[mine]
         return owner
 
@@ -379,7 +384,7 @@ class Divider:
             if group == 0:
                 continue
             mask = groups == group
-            if float(look.transient[mask].mean()) < TRANSIENT:
+            if float(look.transient[mask].mean()) < BORN:
                 continue
             body = self._returned(look, mask) or self._new(look, mask)
             look.labels[mask] = body.number
@@ -394,17 +399,15 @@ class Divider:
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(FINE_GATE) * depth
         for body in self.bodies:
-            if body.active or index in body.found or not self.is_object(body):
+            if index in body.found or not self.is_object(body):
                 continue
             at = body.tracker.locate(look.views, mask, body.model)
             if at.status != Status.TRACKED:
                 continue
             view = cast_view(body.model, self._form, at.T_camera_object, self.threads).depth
-            near = _distance(depth, view) < gate
-            shown = view > 0
-            if np.count_nonzero(near & mask) > 0.6 * np.count_nonzero(mask) and np.count_nonzero(
-                shown & near
-            ) > 0.5 * np.count_nonzero(shown & ((depth == 0) | (depth > view - gate))):
+            near, shown = _distance(depth, view) < gate, (view > 0) & (depth > view - gate)
+            alike = np.count_nonzero(near & mask) > AGREEMENT * np.count_nonzero(mask)
+            if alike and np.count_nonzero(shown & near) > AGREEMENT * np.count_nonzero(shown):
                 body.lost = 0
                 body.found[index] = at
                 return body

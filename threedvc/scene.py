@@ -350,8 +350,12 @@ class Scene:
         return live_cell_factor(cells, rate / 8)
 
     def _stands_still(self, number: int) -> bool:
-        """The background of a depth threshold is static by definition, unless the camera's poses are known."""
-        return number == 0 and self._one_object and not self.info.has_camera_poses
+        """The background stands still before a camera that does, unless the camera's poses are known.
+
+        That of a depth threshold does by definition.
+        """
+        rests = self._one_object or (self.division is not None and self.division.camera_rests)
+        return number == 0 and rests and not self.info.has_camera_poses
 
     def _exposed(self, background: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose) -> Observation:
         """Find the gain of a frame, and return the frame without it."""
