@@ -117,13 +117,17 @@ class Division:
                 self._extend_back(body, frames)
 
     def _extend_back(self, body: Body, frames: FrameSequence) -> None:
-        """Label an object that stood still before it was found to move, from there back to where it came from."""
+        """Label an object by its finished model before it was known as one, back to where it stood still at first."""
         number = self._numbers[body.number]
-        for index in range(body.born - 1, -1, -1):
+        for index in range(body.proved or 0, -1, -1):
+            if index > body.born and body.pose_of(index) is None:
+                continue
             frame = frames[index]
-            mask = self._divider.resting(body, frame)
+            mask = self._divider.shown(body, frame)
             if mask is None:
-                return
+                if index < body.born:
+                    return
+                continue
             labels = self._unpacked(self._labels[frame.timestamp_ns], np.uint8)
             free = (labels == 0) | (labels == NOTHING)
             self._labels[frame.timestamp_ns] = zlib.compress(np.where(mask & free, np.uint8(number), labels).tobytes())

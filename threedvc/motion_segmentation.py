@@ -44,7 +44,7 @@ LANDMARK, MAX_LANDMARKS = 4, 16
 """Frames apart of those that all frames ask while the camera rests, and how many there may be before they thin out."""
 MAX_KEPT = 800
 LEAST_STILL = 0.3
-VOTES = 2
+VOTES, MOSTLY = 2, 0.6
 JUMP = 0.03
 LEAST_PIXELS = 60
 LEAST_AREA_M2 = 0.0006
@@ -110,7 +110,7 @@ class Body:
         self.found: dict[int, Located] = {}
         self.fit: dict[int, float] = {}
         self.gone = False
-        self.proved = False
+        self.proved: int | None = None
         self.radius = 0.0
         self.lost = 0
         self.dead = False
@@ -295,7 +295,7 @@ class Divider:
         depth = frame.depth
         through, on = self.memory.sights(depth, depth > 0, pose, self._others(frame.index), self.pose_of)
         square = np.ones((3, 3), np.uint8)
-        seen_through = (through >= VOTES).astype(np.uint8)
+        seen_through = _grown(depth, through).astype(np.uint8)
         core = cv2.dilate(cv2.morphologyEx(seen_through, cv2.MORPH_OPEN, square), square)
         moving: Mask = (cv2.morphologyEx(seen_through & core, cv2.MORPH_CLOSE, square) > 0) & (depth > 0)
         sigma = self.sensor.sigma_m(depth.astype(np.float64)).astype(np.float32)
@@ -415,14 +415,15 @@ class Divider:
 
     def is_object(self, body: Body) -> bool:
         """Tell whether a body moved as one, for long and far enough."""
-        if body.proved:
+        if body.proved is not None:
             return True
         frames = [k for k in body.found if body.pose_of(k) is not None]
         if len(frames) < LEAST_FRAMES or np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
             return False
         way = self.way(body)
-        body.proved = way > max(LEAST_WAY_M, LEAST_WAY * float(body.found[frames[0]].T_camera_object[2, 3]))
-        return body.proved
+        if way > max(LEAST_WAY_M, LEAST_WAY * float(body.found[frames[0]].T_camera_object[2, 3])):
+            body.proved = max(frames)
+        return body.proved is not None
 
     def way(self, body: Body) -> float:
         """Return how far in metres the points of a body went from where it was first, on an average."""
@@ -445,17 +446,19 @@ class Divider:
         self.bodies.append(body)
         return body
 
-    def resting(self, body: Body, frame: Frame) -> Mask | None:
-        """Return the pixels (h, w) of a frame before a body was found that show it where it was first, or None.
+    def shown(self, body: Body, frame: Frame) -> Mask | None:
+        """Return the pixels (h, w) of a frame that show a body where it was found, or before that where it was first.
 
-        For it to have been there, most of what is seen of it must be measured, or hidden by something.
+        None if it was not there: most of what is seen of it must be measured, or hidden by something.
         """
-        small, first = self.limited(frame), min(body.found)
-        room, there = self.pose_of(frame.index), self.pose_of(first)
-        if room is None or there is None:
-            return None
+        small, first = self.limited(frame), body.born
         assert self.sensor is not None
-        pose = room @ inverse(there) @ body.found[first].T_camera_object
+        pose = body.pose_of(frame.index)
+        if pose is None:
+            room, there = self.pose_of(frame.index), self.pose_of(first)
+            if room is None or there is None:
+                return None
+            pose = room @ inverse(there) @ body.found[first].T_camera_object
         view = cast_view(body.model, self._form, pose, self.threads).depth
         depth = small.depth
         gate = (GATE_SIGMAS * self.sensor.sigma_m(depth.astype(np.float64)) + FINE_GATE * depth).astype(np.float32)
@@ -486,6 +489,15 @@ def _surfaces(depth: Floats, chosen: Mask) -> NDArray[np.int32]:
     groups, stack = np.zeros(depth.shape, np.int32), np.empty(depth.size, np.int32)
     connect_surfaces(depth, chosen, JUMP, groups, stack)
     return groups
+
+
+def _grown(depth: Floats, through: NDArray[np.uint8]) -> Mask:
+    """Return the pixels (h, w) that enough frames saw through, and those of surfaces that are mostly such."""
+    certain, likely = through >= VOTES, through > 0
+    groups = _surfaces(depth, likely)
+    sizes = np.maximum(np.bincount(groups.ravel()), 1)
+    mostly = np.bincount(groups.ravel(), certain.ravel()) > MOSTLY * sizes
+    return np.asarray(certain | (likely & mostly[groups]), dtype=np.bool_)
 
 
 def _shares(groups: NDArray[np.int32], owner: Labels, number: int) -> list[int]:
