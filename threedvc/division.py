@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from threedvc.config import EncoderConfig
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
-from threedvc.motion_segmentation import PASSING, Body, Divider
+from threedvc.motion_segmentation import PASSING, TRANSIENT, Body, Divider
 from threedvc.pose import Pose, inverse
 
 __all__ = ["NOTHING", "Division"]
@@ -84,9 +84,10 @@ class Division:
     def _keep(self, time_ns: int, index: int, raw: NDArray[np.uint16], gone: set[int]) -> None:
         """Keep the labels of a frame, given the bodies' numbers (h, w), and which objects are in it."""
         table = np.zeros(PASSING + 1, dtype=np.uint8)
-        table[1 : len(self._divider.bodies) + 1] = table[PASSING] = NOTHING
-        for body, number in self._numbers.items():
-            table[body] = number
+        table[PASSING] = NOTHING
+        for body in self._divider.bodies:
+            passes = body.passing.get(index, 0) > TRANSIENT
+            table[body.number] = self._numbers.get(body.number, NOTHING if passes else 0)
         self._labels[time_ns] = zlib.compress(table[raw].tobytes(), 1)
         found = {body.number for body in self._divider.bodies if body.pose_of(index) is not None}
         self._seen[time_ns], self._gone[time_ns] = self._public(found), self._public(gone)

@@ -32,7 +32,7 @@ from threedvc.registration import Status
 from threedvc.registration_starts import predict
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
 
-__all__ = ["PASSING", "Body", "Divider", "Reduction"]
+__all__ = ["PASSING", "TRANSIENT", "Body", "Divider", "Reduction"]
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -57,6 +57,7 @@ YOUNG_FRAMES = 10
 BORN, TRANSIENT = 0.25, 0.6
 """Shares of the frames that tell about a surface that must have seen through it, so that it may be a body, or that it
 certainly moves."""
+SEEN_TO_PASS = 0.5
 LEAST_FRAMES, LEAST_FIT = 10, 0.6
 LEAST_WAY_M, LEAST_WAY = 0.02, 0.03
 GONE, AGREEMENT = 0.5, 0.7
@@ -109,6 +110,7 @@ class Body:
         self.tracker = tracker
         self.found: dict[int, Located] = {}
         self.fit: dict[int, float] = {}
+        self.passing: dict[int, float] = {}
         self.gone = False
         self.proved: int | None = None
         self.radius = 0.0
@@ -414,11 +416,12 @@ class Divider:
         return None
 
     def is_object(self, body: Body) -> bool:
-        """Tell whether a body moved as one, for long and far enough."""
+        """Tell whether a body moved as one, for long and far enough, through what other frames saw to be empty."""
         if body.proved is not None:
             return True
         frames = [k for k in body.found if body.pose_of(k) is not None]
-        if len(frames) < LEAST_FRAMES or np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
+        passing = sum(share > SEEN_TO_PASS for share in body.passing.values())
+        if min(len(frames), passing) < LEAST_FRAMES or np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
             return False
         way = self.way(body)
         if way > max(LEAST_WAY_M, LEAST_WAY * float(body.found[frames[0]].T_camera_object[2, 3])):
@@ -475,6 +478,7 @@ class Divider:
             pose = body.pose_of(index)
             mask = look.labels == body.number
             if pose is not None and mask.any():
+                body.passing[index] = float(look.transient[mask].mean())
                 fuse(body.model, look.seen, mask, pose, self.sensor, FUSION, self.threads)
 
 
