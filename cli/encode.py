@@ -50,8 +50,10 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--voxel-size", type=length, metavar="LENGTH", help="Edge of a cell.  [default: from the first frame]")
 @click.option("--motion", type=click.Choice(["auto", "known", "track"]), default="auto", show_default=True,
               help="Use the poses of INPUT, or track.")  # fmt: skip
-@click.option("--segment", type=segmentation, metavar="none|depth:N..F|masks|auto", default="auto", show_default=True,
-              help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT.")  # fmt: skip
+@click.option("--segment", type=segmentation, metavar="none|depth:N..F|masks|motion|auto", default="auto",
+              show_default=True,
+              help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT, by what moves."
+              )  # fmt: skip
 @click.option("--sensor", type=click.Choice(SENSORS), default="auto", show_default=True, help="Noise of the depth.")
 @click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,
               help="How much work: send at once; fit colours; refine cameras and poses, too; for longer.")  # fmt: skip

@@ -125,14 +125,16 @@ def object_numbers(text: str) -> tuple[int, ...]:
 
 
 def segmentation(text: str) -> SegmentationConfig:
-    """Return the choice named by ``none``, ``masks``, ``auto`` or ``depth:NEAR..FAR`` (lengths)."""
+    """Return the choice named by ``none``, ``masks``, ``motion``, ``auto`` or ``depth:NEAR..FAR`` (lengths)."""
     from threedvc.config import SegmentationConfig, SegmentationMode
 
-    if text in ("none", "masks", "auto"):
+    if text in ("none", "masks", "motion", "auto"):
         return SegmentationConfig(mode=SegmentationMode(text))
     near, dots, far = text.removeprefix("depth:").partition("..")
     if not text.startswith("depth:") or not dots:
-        raise click.BadParameter(f"{text!r} is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m")
+        raise click.BadParameter(
+            f"{text!r} is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"
+        )
     return SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=length(near), far_m=length(far))
 
 

@@ -77,12 +77,13 @@ class Preset(StrEnum):
 
 
 class SegmentationMode(StrEnum):
-    """How a frame is divided into objects."""
+    """How a frame is divided into objects; MOTION finds out what moves on its own."""
 
     AUTO = "auto"
     NONE = "none"
     DEPTH = "depth"
     MASKS = "masks"
+    MOTION = "motion"
 
 
 class FilterParts(StrEnum):

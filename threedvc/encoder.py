@@ -114,6 +114,8 @@ class Encoder:
             yield from self._live(frames, on_frame)
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
+        if again and self.scene.division is not None:
+            self.scene.division.take(cast(FrameSequence, frames))
         if again and self.config.refine:
             self.scene.luma_weight = DOUBTED_LUMA
         self._fuse_all(frames, on_frame)
@@ -245,10 +247,10 @@ class Encoder:
         rig = calibrated_rig(self.scene, frames)
         if rig is not None:
             known = {number: item.found for number, item in self.scene.objects.items()}
-            self.scene = Scene(replace(self.info, rig=rig), self.config, known)
+            self.scene = Scene(replace(self.info, rig=rig), self.config, known, self.scene.division)
             self._fuse_all(frames, on_frame)
         elif tracked:
-            self.scene = Scene(self.info, self.config)
+            self.scene = Scene(self.info, self.config, None, self.scene.division)
             self._fuse_all(frames, on_frame)
             self._join_parts(frames, on_frame)
         script = refined_script(self.scene, frames, TO_DEPTH if tracked and rig is not None else None)
@@ -322,7 +324,7 @@ class Encoder:
             config = self._with_cells(factor)
             if factor < 1 and config.cell_factor < least:
                 return inf
-            scene = Scene(self.scene.info, config, script)
+            scene = Scene(self.scene.info, config, script, self.scene.division)
             for frame in some:
                 scene.add(frame)
             return trial_error(scene, some, shifts and shifts[::step], room)
@@ -351,7 +353,7 @@ class Encoder:
     def _fuse_again(
         self, frames: FrameSequence, on_frame: OnFrame | None, script: Mapping[int, Sequence[Located | None]]
     ) -> None:
-        self.scene = Scene(self.scene.info, self.config, script)
+        self.scene = Scene(self.scene.info, self.config, script, self.scene.division)
         self._fuse_all(frames, on_frame)
 
     def _take(self, frame: Frame, on_frame: OnFrame | None) -> None:

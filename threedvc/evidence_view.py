@@ -22,6 +22,7 @@ __all__ = ["FrameViews", "Thinned", "cast_view"]
 
 TRACKING_PIXELS = 120_000
 SMALL_OBJECT_PIXELS = 60_000
+SPARSE_PIXELS = 40_000
 Scalar = TypeVar("Scalar", bound=np.generic)
 LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
@@ -35,9 +36,12 @@ class Thinned:
         Cameras of the frames.
     stride
         n; None: so that a whole picture keeps enough pixels to track as well as all of them.
+    sparse
+        Whether views are cast with fewer rays where surfaces are even; outlines are less exact. None: if there are
+        many pixels.
     """
 
-    def __init__(self, rig: CameraRig, stride: int | None = None) -> None:
+    def __init__(self, rig: CameraRig, stride: int | None = None, *, sparse: bool | None = None) -> None:
         self.rig = rig
         full = rig.depth
         self.stride = stride or 1
@@ -47,6 +51,8 @@ class Thinned:
         self.grid = RayGrid(self.camera, apart=True)
         places = np.arange(self.camera.width * self.camera.height)
         even = (places // self.camera.width | places % self.camera.width) % 2 == 0
+        if not (len(places) >= SPARSE_PIXELS if sparse is None else sparse):
+            even[:] = True
         self.even, self.between = self.grid.order[even[self.grid.order]], self.grid.order[~even[self.grid.order]]
         self._slopes = full.rays()
 
@@ -114,7 +120,8 @@ class FrameViews:
 def cast_view(model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, threads: int) -> ModelView:
     """Cast the evidence at a pose into the thinned depth camera.
 
-    Every other ray of every other row is cast first; between four that meet one even surface the rest are interpolated.
+    If sparse, every other ray of every other row is cast first; between four that meet one even surface the rest are
+    interpolated.
     """
     camera, grid = thinned.camera, thinned.grid
     count = camera.width * camera.height
@@ -137,8 +144,9 @@ def cast_view(model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, thr
         fill_between(start, stop, camera.width, depth, normals, intensity, done)
 
     cast(thinned.even)
-    for_ranges(squares, (camera.height - 1) // 2, threads)
-    cast(thinned.between[done[thinned.between] == 0])
+    if len(thinned.between):
+        for_ranges(squares, (camera.height - 1) // 2, threads)
+        cast(thinned.between[done[thinned.between] == 0])
     shape = (camera.height, camera.width)
     return ModelView(
         camera=camera,

@@ -43,9 +43,9 @@ from threedvc.pose import Pose, identity, inverse
 from threedvc.rate_control import error_at
 from threedvc.readout import REGION_SHIFT, Surface, read_surface
 from threedvc.refinement import mean_misfit, misfit_frames
+from threedvc.registration import Status
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.scene import Scene, SceneObject
-from threedvc.segmentation import segment
 from threedvc.trials import color_settings, one_shot
 
 __all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
@@ -375,7 +375,7 @@ class _Fit:
             return None
         chosen = range(0, len(self._frames), -(-len(self._frames) // BACKDROP_FRAMES))
         limited = (scene.limited(self._frames[index]) for index in chosen)
-        seen = ((frame.depth, segment(frame, scene.config.segmentation, scene.info) > 0) for frame in limited)
+        seen = ((frame.depth, scene.labels(frame) > 0) for frame in limited)
         size, views = self._background_bytes(), self._background_views()
         misfit, beyond = views.misfit(self.colors.models[0])
 
@@ -455,7 +455,7 @@ class _Fit:
 
     def _lost(self, frame: int) -> bool:
         """Tell whether an object is drawn where it was not seen: then the picture says nothing about colours."""
-        return any(not at.usable for script in self.script.values() if (at := script[frame]) is not None)
+        return any(at.status == Status.LOST for script in self.script.values() if (at := script[frame]) is not None)
 
     def _poses(self, frame: int) -> dict[int, Pose]:
         """Return where the decoder will draw every object that has appeared."""

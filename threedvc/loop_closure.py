@@ -22,7 +22,6 @@ from threedvc.pose_graph import Link, optimised
 from threedvc.registration import ModelView, RegistrationConfig, Status, frame_view
 from threedvc.registration_starts import register_from_starts
 from threedvc.scene import Scene
-from threedvc.segmentation import segment
 
 __all__ = ["closed_loops", "corrected", "key_numbers"]
 
@@ -94,7 +93,7 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | 
         frame, pose = scene.limited(frames[number]), usable[number]
         assert pose is not None
         if frame.depth.any():
-            mask = segment(frame, scene.config.segmentation, scene.info) == 0
+            mask = scene.labels(frame) == 0
             keys.append(_View(number, scene.views(frame), mask, inverse(pose)))
     links = _links(keys, scene)
     before = [key.T_world_camera for key in keys]

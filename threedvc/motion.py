@@ -23,6 +23,7 @@ from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
 __all__ = [
+    "UNSEEN",
     "Located",
     "Script",
     "Tracker",
@@ -44,11 +45,13 @@ RETURN_FRAMES = 10
 """In a new part, every so many frames are held against the others."""
 COAST_FRAMES = 5
 """A lost object goes on as it went for so many frames, then stays."""
+UNSEEN = "unseen"
+"""Status of an object that is not in sight, at the pose it is taken to have."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Located:
-    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak or lost.
+    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak, lost or unseen.
 
     The part is that of the model which it was found by, see `Tracker`.
     """
@@ -60,7 +63,7 @@ class Located:
     @property
     def usable(self) -> bool:
         """Whether the frame may be fused at this pose."""
-        return self.status != Status.LOST
+        return self.status not in (Status.LOST, UNSEEN)
 
 
 Script: TypeAlias = dict[int, list[Located | None]]
@@ -137,6 +140,8 @@ class Tracker:
         Weight of luma against depth.
     patience
         Frames in which an object may be lost before a new part of its model begins; 0: for ever.
+    recovers
+        Whether a lost object is looked for and goes on for a moment as it went; else it waits where it was.
 
     Attributes
     ----------
@@ -152,6 +157,7 @@ class Tracker:
         lit_evenly: bool = False,
         luma_weight: float = 1.0,
         patience: int = 0,
+        recovers: bool = True,
     ) -> None:
         config = RegistrationConfig(luma_weight=luma_weight)
         if lit_evenly:
@@ -160,7 +166,7 @@ class Tracker:
         self._poses: list[Pose] = []
         self._resting = False
         self._usual = 0.0
-        self._patience, self._lost = patience, 0
+        self._patience, self._lost, self._recovers = patience, 0, recovers
         self._part, self._parts, self._since_check, self._apart_m = 0, 1, 0, 1.0
         self.bridges: dict[int, tuple[Pose, int]] = {}
         self._keyframes: Keyframes | None = None
@@ -175,7 +181,7 @@ class Tracker:
             slopes = rig.depth.rays()[seen]
             centre = np.array([np.median(slopes[:, 0] * z), np.median(slopes[:, 1] * z), np.median(z)])
             T = make_pose(np.eye(3), centre)
-        self._keyframes = Keyframes(rig)
+        self._keyframes = Keyframes(rig) if self._recovers else None
         self._poses = [T]
         self._remember(views, mask)
         return Located(T_camera_object=T, status=Status.TRACKED)
@@ -225,6 +231,8 @@ class Tracker:
 
     def _missed(self) -> Located:
         """Let a lost object go on for a moment, then stay where it was."""
+        if not self._recovers:
+            return Located(T_camera_object=self._poses[-1], status=Status.LOST)
         self._lost += 1
         if len(self._poses) > 1 and self._lost <= COAST_FRAMES:
             self._poses = [self._poses[-1], predict(*self._poses)]
@@ -290,6 +298,10 @@ class Tracker:
     def _note(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
         if self._keyframes is not None:
             self._keyframes.note(views.frame, mask, self._poses[-1])
+
+    def resume(self, T_camera_object: Pose) -> None:
+        """Go on from a pose: the object was out of sight, or was found by other means."""
+        self._poses, self._resting, self._last = [T_camera_object], False, None
 
     def _remember(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
         form = views.form(mask)

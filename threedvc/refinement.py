@@ -18,11 +18,10 @@ from threedvc.calibration import calibrate, sighting
 from threedvc.camera import CameraRig
 from threedvc.evidence_view import FrameViews, cast_view
 from threedvc.frame import FrameSequence
-from threedvc.motion import Located, Script, pose_between, refined, refound
+from threedvc.motion import UNSEEN, Located, Script, pose_between, refined, refound
 from threedvc.readout import read_surface
 from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
-from threedvc.segmentation import segment
 
 __all__ = ["calibrated_rig", "depth_misfit", "mean_misfit", "misfit_frames", "refined_script"]
 
@@ -60,7 +59,7 @@ def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConf
     """
     script: Script = {number: [] for number in scene.objects}
     for frame in map(scene.limited, frames):
-        labels = segment(frame, scene.config.segmentation, scene.info)
+        labels = scene.labels(frame)
         views = scene.views(frame)
         for number, item in scene.objects.items():
             script[number].append(_refined(scene, item, views, labels == number, script[number], config))
@@ -92,7 +91,7 @@ def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
 
     def pictures(index: int, at: Located) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         frame = scene.limited(frames[index])
-        mask = segment(frame, scene.config.segmentation, scene.info) == 0
+        mask = scene.labels(frame) == 0
         form = scene.views(frame).form(mask)
         view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads)
         return view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
@@ -110,8 +109,8 @@ def _refined(
     config: RegistrationConfig | None,
 ) -> Located | None:
     at = item.found[views.frame.index]
-    if at is None:
-        return None
+    if at is None or at.status == UNSEEN:
+        return at
     if not at.usable:
         between = pose_between(item.found, views.frame.index)
         return refound(at, between, views, mask, item.evidence, scene.sensor, scene.config.threads)

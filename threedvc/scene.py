@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
-from threedvc.evidence_view import FrameViews, Thinned
+from threedvc.division import NOTHING, Division
+from threedvc.evidence_view import FrameViews, Thinned, cast_view
 from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
-from threedvc.motion import Located, Tracker, known_pose, motion_of
+from threedvc.motion import UNSEEN, Located, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
-from threedvc.pose import Pose, identity
+from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.rate_control import live_cell_factor
-from threedvc.segmentation import segment
+from threedvc.registration_starts import predict
+from threedvc.segmentation import resolved_mode, segment
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
 from threedvc.uncertainty import EntropyMeter
 
@@ -36,6 +38,9 @@ REFERENCE_PIXELS = 640 * 480
 SIGHT_FRAMES = 5
 MIN_PATIENCE = 5
 """Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
+PREDICTION_GATE = 0.03
+AWAY_M = 1000.0
+"""Where an object is put that left: so far behind the camera that nobody will see it."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
@@ -100,6 +105,16 @@ class SceneObject:
         """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
         return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
 
+    @property
+    def last_seen(self) -> int:
+        """The last frame in which it was found."""
+        return max(frame for frame, at in enumerate(self.found) if at is not None and at.status != UNSEEN)
+
+    @property
+    def out_of_sight(self) -> bool:
+        """Whether it was not in sight in the last frame."""
+        return bool(self.found) and self.found[-1] is not None and self.found[-1].status == UNSEEN
+
     def record(self, frame: int, at: Located | None) -> None:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
         if at is not None and self.born is None:
@@ -123,6 +138,8 @@ class Scene:
         Choices.
     script
         Where every object is in every frame, from an earlier pass; None: find out.
+    division
+        Labels of the frames where these are divided by motion; None: find them as the frames come.
 
     Attributes
     ----------
@@ -138,10 +155,17 @@ class Scene:
     """
 
     def __init__(
-        self, info: SequenceInfo, config: EncoderConfig, script: Mapping[int, Sequence[Located | None]] | None = None
+        self,
+        info: SequenceInfo,
+        config: EncoderConfig,
+        script: Mapping[int, Sequence[Located | None]] | None = None,
+        division: Division | None = None,
     ) -> None:
         self.info, self.config = info, config
         self._script = script
+        if division is None and config.segmentation.mode is SegmentationMode.MOTION:
+            division = Division(info, config)
+        self.division = division
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
         self.repeated: list[bool] = []
@@ -178,31 +202,82 @@ class Scene:
         sensor = self._sensor
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
-        labels = segment(frame, self.config.segmentation, self.info)
+        labels = self.labels(frame)
         if self._live_factor is None:
             self._live_factor = self._rated_factor(frame, labels)
         seen = observe(frame, self.info.rig, self._rays)
         views = self.views(frame)
         worst = STATUS_ORDER[0]
         self.gains.append(self.gains[-1] if self.gains else NEUTRAL)
-        for number in sorted({0, *np.unique(labels).tolist(), *self.objects}):
+        numbers = {0, *np.unique(labels).tolist(), *self.objects}
+        for number in sorted(numbers - {NOTHING} if self.division else numbers):
             mask = labels == number
             item = self._object(number, frame, mask, sensor)
             if item is None:
                 continue
-            if self._script is not None:
-                found = self._script[number][frame.index]
-            else:
-                found = item.locate(views, mask, self.info.rig, self._one_object)
+            script = self._script
+            found = self._located(item, views, mask) if script is None else script[number][frame.index]
             item.record(frame.index, found)
             if found is not None:
-                worst = max(worst, str(found.status), key=STATUS_ORDER.index)
+                if found.status != UNSEEN:
+                    worst = max(worst, str(found.status), key=STATUS_ORDER.index)
                 if found.usable and not self.repeated[-1]:
                     if number == 0 and self.config.causal:
                         seen = self._exposed(item, seen, mask, found.T_camera_object)
                     self._fuse(item, seen, mask, found.T_camera_object, sensor)
         self.timestamps.append(frame.timestamp_ns)
         return worst
+
+    def labels(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return the objects' numbers (h, w) at the pixels of a frame's depth picture."""
+        if self.division is not None:
+            return self.division.labels(frame)
+        by_masks = resolved_mode(self.config.segmentation, self.info) is SegmentationMode.MASKS
+        if by_masks and frame.mask is None and self.objects:
+            return self._predicted_labels(frame)
+        return segment(frame, self.config.segmentation, self.info)
+
+    def _predicted_labels(self, frame: Frame) -> NDArray[np.uint8]:
+        """Label a frame that has no mask by what the models show at the poses that are known or come next."""
+        labels, depth = np.zeros(frame.depth.shape, dtype=np.uint8), frame.depth
+        gate = 4 * self.sensor.sigma_m(depth.astype(np.float64)) + PREDICTION_GATE * depth
+        nearest = np.full(depth.shape, np.inf)
+        for number, item in self.objects.items():
+            if not number or item.born is None:
+                continue
+            pose = self._expected(item, frame.index)
+            view = cast_view(item.evidence, self._full, pose, self.config.threads).depth
+            off = np.where(depth > 0, np.abs(depth - view), 0)
+            mine = (view > 0) & (off <= gate) & (off < nearest)
+            labels[mine], nearest[mine] = number, off[mine]
+        return labels
+
+    def _expected(self, item: SceneObject, frame: int) -> Pose:
+        """Return the pose of an object in a frame as far as it is known, else at constant velocity."""
+        if frame < len(item.poses):
+            return item.poses[frame]
+        found = self._script[item.number][frame] if self._script is not None else None
+        if found is not None:
+            return found.T_camera_object
+        return predict(*item.poses[-2:]) if len(item.poses) > 1 else item.poses[-1]
+
+    def _located(self, item: SceneObject, views: FrameViews, mask: NDArray[np.bool_]) -> Located | None:
+        """Find an object in a frame; one that is out of sight stays in the background where it was, or is gone."""
+        if self.division is None or not item.number or item.born is None:
+            return item.locate(views, mask, self.info.rig, self._one_object)
+        last, world = item.poses[-1], self.objects[0].poses
+        T_camera_object = last if np.array_equal(world[-1], world[-2]) else world[-1] @ inverse(world[-2]) @ last
+        at = None
+        if self.division.is_seen(item.number, views.frame):
+            if item.out_of_sight and item.tracker is not None:
+                guess = self.division.way(item.number, item.last_seen, views.frame.index)
+                item.tracker.resume(item.poses[item.last_seen] if guess is None else guess @ item.poses[item.last_seen])
+            at = item.locate(views, mask, self.info.rig, self._one_object)
+        if at is not None:
+            return at
+        if self.division.is_gone(item.number, views.frame) and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
+            T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
+        return Located(T_camera_object=T_camera_object, status=UNSEEN)
 
     @property
     def sensor(self) -> SensorModel:
@@ -250,7 +325,7 @@ class Scene:
             return self.objects[number]
         if number and np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
             return None
-        tracked = not self._stands_still(number) and motion_of(number, self.info, self.config.motion) is Motion.TRACK
+        tracked = not self._stands_still(number) and self._is_tracked(number)
         size = self.config.voxel_size_m
         if size is None:
             size = default_voxel_size(frame.depth, mask, self.info)
@@ -270,6 +345,11 @@ class Scene:
         self.objects[number] = SceneObject(number, size, tracker)
         return self.objects[number]
 
+    def _is_tracked(self, number: int) -> bool:
+        """Objects found by their motion bear no relation to the poses that the input may have."""
+        by_motion = number > 0 and self.division is not None
+        return by_motion or motion_of(number, self.info, self.config.motion) is Motion.TRACK
+
     def _rated_factor(self, frame: Frame, labels: NDArray[np.uint8]) -> float:
         """Return by how much wider cells a live encoder takes for its rate, as it can tell from the first frame."""
         rate = self.config.bitrate_bps
@@ -284,8 +364,12 @@ class Scene:
         return live_cell_factor(cells, rate / 8)
 
     def _stands_still(self, number: int) -> bool:
-        """The background of a depth threshold is static by definition, unless the camera's poses are known."""
-        return number == 0 and self._one_object and not self.info.has_camera_poses
+        """The background stands still before a camera that does, unless the camera's poses are known.
+
+        That of a depth threshold does by definition.
+        """
+        rests = self._one_object or (self.division is not None and self.division.camera_rests)
+        return number == 0 and rests and not self.info.has_camera_poses
 
     def _exposed(self, background: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose) -> Observation:
         """Find the gain of a frame, and return the frame without it."""

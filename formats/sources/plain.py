@@ -10,7 +10,8 @@
                            or, for two cameras, `color` and `depth` with those entries, and T_color_depth (4x4)
     poses.txt              optional: NNNNNN tx ty tz qx qy qz qw, T_world_camera, metres;
                            a number alone stands for a frame whose pose is not known
-    masks/NNNNNN.png       optional: 8-bit labels in the depth camera, 0 = background
+    masks/NNNNNN.png       optional: 8-bit labels in the depth camera, 0 = background; of the first frame
+                           and as many others as there are
     object_poses.json      optional: label -> one 4x4 T_camera_object per frame in order, null where not known
     timestamps.txt         optional: NNNNNN timestamp_ns [color_timestamp_ns]; without it the clock is regular
 
@@ -113,7 +114,11 @@ def _masks(folder: Path, numbers: Sequence[int]) -> dict[int, Path]:
     if not folder.is_dir():
         return {}
     masks = {name_numbers(path)[-1]: path for path in list_pictures(folder) if name_numbers(path)}
-    _require_all(folder, numbers, masks, "mask")
+    if numbers[0] not in masks:
+        raise SequenceError(
+            f"{folder}: no mask for frame {numbers[0]}, the first ({len(masks)} for {len(numbers)} frames); "
+            "add it or remove masks"
+        )
     return masks
 
 

@@ -67,12 +67,12 @@ class FolderSequence:
             grey=channels == {1},
             has_camera_poses=all(frame.T_world_camera is not None for frame in frames),
             has_object_poses=any(frame.T_camera_object for frame in frames),
-            has_masks=all(frame.mask is not None for frame in frames),
+            has_masks=frames[0].mask is not None,
         )
 
     @property
     def info(self) -> SequenceInfo:
-        """What holds for every frame; camera poses and masks count only where every frame has one."""
+        """What holds for every frame; camera poses count only where every frame has one, masks where the first has."""
         return self._info
 
     def __len__(self) -> int:

@@ -177,3 +177,27 @@ def test_luma_of_a_colour_camera_apart_is_looked_up_through_the_depth() -> None:
     assert not known[10:14, 20:24].any()
     assert known[depth > 0].mean() > 0.8
     np.testing.assert_allclose(luma[known], expected[known], atol=1.5)
+
+
+@pytest.mark.parametrize("shape", [wall, ball])
+def test_a_sparse_view_is_about_the_same(shape: Depth) -> None:
+    model = model_of(
+        shape, color=np.repeat(np.arange(48 * 60, dtype=np.uint32).reshape(48, 60, 1) % 250, 3, 2).astype(np.uint8)
+    )
+    pose = moved((0.05, 0.1, 0), (-0.1, 0, 0.05))
+    dense, sparse = (cast_view(model, Thinned(RIG, sparse=choice), pose, 1) for choice in (False, True))
+    cast = np.zeros((48, 60), dtype=np.bool_)
+    cast[::2, ::2] = True
+    np.testing.assert_array_equal(sparse.depth[cast], dense.depth[cast])
+    assert np.count_nonzero(sparse.depth) > 0.9 * np.count_nonzero(dense.depth)
+    both = (dense.depth > 0) & (sparse.depth > 0)
+    assert np.abs(sparse.depth - dense.depth)[both].max() < 0.5 * CELL
+    assert np.quantile((sparse.normals * dense.normals).sum(axis=2)[both], 0.05) > 0.97
+    np.testing.assert_allclose(np.linalg.norm(sparse.normals[both], axis=1), 1, atol=1e-5)
+
+
+def test_large_views_are_sparse_unless_it_is_said_otherwise() -> None:
+    large = CameraRig.registered_to(CAMERA.resized(320, 240))
+    assert len(Thinned(large).even) < len(Thinned(large).grid.slopes) / 3
+    assert len(Thinned(large, sparse=False).even) == 320 * 240
+    assert len(Thinned(RIG).even) == 48 * 60

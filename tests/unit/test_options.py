@@ -57,6 +57,7 @@ FOCUS_FORM = "{!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 
         (segmentation, "none", SegmentationConfig(mode=SegmentationMode.NONE)),
         (segmentation, "masks", SegmentationConfig(mode=SegmentationMode.MASKS)),
         (segmentation, "auto", SegmentationConfig()),
+        (segmentation, "motion", SegmentationConfig(mode=SegmentationMode.MOTION)),
         (segmentation, "depth:10cm..1.2m", SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.1, far_m=1.2)),
         (segmentation, "depth:0..1", SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0, far_m=1)),
     ],
@@ -88,8 +89,16 @@ def test_value(parse: Callable[[str], Any], text: str, value: Any) -> None:
         (focus, "0..1,0..1=4", FOCUS_FORM.format("0..1,0..1=4")),
         (focus, "1=", "'' is not a positive number"),
         (focus, "1=-2", "'-2' is not a positive number"),
-        (segmentation, "depth", "'depth' is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"),
-        (segmentation, "0.1..1", "'0.1..1' is not none, masks, auto or depth:NEAR..FAR, such as depth:10cm..1.2m"),
+        (
+            segmentation,
+            "depth",
+            "'depth' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m",
+        ),
+        (
+            segmentation,
+            "0.1..1",
+            "'0.1..1' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m",
+        ),
         (segmentation, "depth:1..x", "'x' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
     ],
 )

@@ -254,3 +254,23 @@ def test_live_cells_are_as_wide_as_the_rate_asks(changes: dict[str, object], wid
         scene.add(frame(0))
         sizes.append([item.evidence.voxel_size_m for _, item in sorted(scene.objects.items())])
     np.testing.assert_allclose(np.divide(*sizes), 1.1**0.5 if wider else 1, rtol=0.01)
+
+
+def test_a_frame_without_a_mask_is_labelled_by_the_models() -> None:
+    scene = Scene(INFO, config())
+    for index in range(4):
+        scene.add(frame(index))
+    bare = replace(frame(4), mask=None)
+    expected = frame(4).mask
+    assert expected is not None
+    labels = scene.labels(bare)
+    agree = np.count_nonzero((labels == 3) & (expected == 3))
+    assert agree > 0.7 * np.count_nonzero(expected == 3)
+    assert np.count_nonzero((labels == 3) & (expected != 3)) == 0
+    scene.add(bare)
+    assert scene.objects[3].found[4] is not None
+
+
+def test_the_first_frame_needs_its_mask() -> None:
+    with pytest.raises(SequenceError, match="frame 0 has no mask"):
+        Scene(INFO, config()).add(replace(frame(0), mask=None))

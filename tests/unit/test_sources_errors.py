@@ -177,9 +177,9 @@ def test_wrong_mask(recording: Path) -> None:
 
 
 def test_mask_missing(recording: Path) -> None:
-    write_picture(recording / "masks" / "000000.png", np.zeros((48, 64), np.uint8))
+    write_picture(recording / "masks" / "000001.png", np.zeros((48, 64), np.uint8))
     assert message(recording) == (
-        f"{recording / 'masks'}: no mask for frame 1 (1 for 4 frames); add it or remove masks"
+        f"{recording / 'masks'}: no mask for frame 0, the first (1 for 4 frames); add it or remove masks"
     )
 
 

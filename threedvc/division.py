@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""The labels of all frames of a sequence that was divided by motion."""
+
+from __future__ import annotations
+
+import zlib
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.config import EncoderConfig
+from threedvc.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.motion_segmentation import PASSING, TRANSIENT, Body, Divider
+from threedvc.pose import Pose, inverse
+
+__all__ = ["NOTHING", "Division"]
+
+NOTHING = 255
+"""Label of pixels that belong neither to the background nor to an object, such as of hands."""
+MAX_OBJECTS = 200
+Whole = TypeVar("Whole", np.uint8, np.uint16)
+
+
+class Division:
+    """Labels of frames by their time, and which objects are there.
+
+    Parameters
+    ----------
+    info
+        The sequence.
+    config
+        Choices.
+
+    Attributes
+    ----------
+    camera_rests
+        Whether the camera stands still in a sequence that was taken as a whole.
+
+    Frames that are not known yet are divided when they are asked for, in order, as a live encoder needs it.
+    """
+
+    def __init__(self, info: SequenceInfo, config: EncoderConfig) -> None:
+        self._divider = Divider(info, config)
+        self._threads = config.threads
+        self._labels: dict[int, bytes] = {}
+        self._numbers: dict[int, int] = {}
+        self._gone: dict[int, set[int]] = {}
+        self._seen: dict[int, set[int]] = {}
+        self.camera_rests = False
+
+    def labels(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return the labels (h, w) of a frame's depth picture: 0 the background, objects, or `NOTHING`."""
+        if frame.timestamp_ns not in self._labels:
+            self._divider.look(frame)
+            raw = self._divider.divide(frame)
+            for body in self._divider.bodies:
+                if body.number not in self._numbers and self._divider.is_object(body):
+                    self._number(body)
+            gone = {body.number for body in self._divider.bodies if body.gone}
+            self._keep(frame.timestamp_ns, frame.index, raw, gone)
+            self._divider.forget(frame.index)
+        small = self._unpacked(self._labels[frame.timestamp_ns], np.uint8)
+        return self._divider.reduction.spread(small, frame.depth, self._threads)
+
+    def is_seen(self, number: int, frame: Frame) -> bool:
+        """Tell whether an object was found in a frame."""
+        return number in self._seen[frame.timestamp_ns]
+
+    def is_gone(self, number: int, frame: Frame) -> bool:
+        """Tell whether an object is no longer where it was last."""
+        return number in self._gone[frame.timestamp_ns]
+
+    def way(self, number: int, start: int, stop: int) -> Pose | None:
+        """Return how an object moved before the camera from one frame to another, or None."""
+        body = next(body for body in self._divider.bodies if self._numbers.get(body.number) == number)
+        before, after = body.pose_of(start), body.pose_of(stop)
+        return None if before is None or after is None else after @ inverse(before)
+
+    def _number(self, body: Body) -> None:
+        if len(self._numbers) < MAX_OBJECTS:
+            self._numbers[body.number] = len(self._numbers) + 1
+
+    def _keep(self, time_ns: int, index: int, raw: NDArray[np.uint16], gone: set[int]) -> None:
+        """Keep the labels of a frame, given the bodies' numbers (h, w), and which objects are in it."""
+        table = np.zeros(PASSING + 1, dtype=np.uint8)
+        table[PASSING] = NOTHING
+        for body in self._divider.bodies:
+            passes = body.passing.get(index, 0) > TRANSIENT
+            table[body.number] = self._numbers.get(body.number, NOTHING if passes else 0)
+        self._labels[time_ns] = zlib.compress(table[raw].tobytes(), 1)
+        found = {body.number for body in self._divider.bodies if body.pose_of(index) is not None}
+        self._seen[time_ns], self._gone[time_ns] = self._public(found), self._public(gone)
+
+    def _public(self, bodies: set[int]) -> set[int]:
+        return {self._numbers[body] for body in bodies if body in self._numbers}
+
+    def take(self, frames: FrameSequence) -> None:
+        """Divide a sequence as a whole: every frame with what all others saw."""
+        divider = self._divider
+        for frame in frames:
+            divider.look(frame)
+        first = divider.poses[0]
+        self.camera_rests = first is not None and all(
+            pose is not None and np.array_equal(pose, first) for pose in divider.poses
+        )
+        raw: list[tuple[int, bytes, set[int]]] = []
+        for frame in frames:
+            packed = zlib.compress(divider.divide(frame).tobytes(), 1)
+            raw.append((frame.timestamp_ns, packed, {body.number for body in divider.bodies if body.gone}))
+        for body in divider.bodies:
+            if divider.is_object(body):
+                self._number(body)
+        for index, (time_ns, packed, gone) in enumerate(raw):
+            self._keep(time_ns, index, self._unpacked(packed, np.uint16), gone)
+        for body in divider.bodies:
+            if body.number in self._numbers:
+                self._extend_back(body, frames)
+
+    def _extend_back(self, body: Body, frames: FrameSequence) -> None:
+        """Label an object by its finished model before it was known as one, back to where it stood still at first."""
+        number = self._numbers[body.number]
+        for index in range(body.proved or 0, -1, -1):
+            if index > body.born and body.pose_of(index) is None:
+                continue
+            frame = frames[index]
+            mask = self._divider.shown(body, frame)
+            if mask is None:
+                if index < body.born:
+                    return
+                continue
+            labels = self._unpacked(self._labels[frame.timestamp_ns], np.uint8)
+            free = (labels == 0) | (labels == NOTHING)
+            self._labels[frame.timestamp_ns] = zlib.compress(np.where(mask & free, np.uint8(number), labels).tobytes())
+            self._seen[frame.timestamp_ns].add(number)
+
+    def _unpacked(self, packed: bytes, kind: type[Whole]) -> NDArray[Whole]:
+        camera = self._divider.rig.depth
+        return np.frombuffer(zlib.decompress(packed), kind).reshape(camera.height, camera.width)
