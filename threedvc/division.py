@@ -55,8 +55,7 @@ class Division:
             self._divider.look(frame)
             raw = self._divider.divide(frame)
             for body in self._divider.bodies:
-                if body.number not in self._numbers and self._divider.is_object(body):
-                    self._number(body)
+                self._number(body)
             gone = {body.number for body in self._divider.bodies if body.gone}
             self._keep(frame.timestamp_ns, frame.index, raw, gone)
             self._divider.forget(frame.index)
@@ -78,7 +77,9 @@ class Division:
         return None if before is None or after is None else after @ inverse(before)
 
     def _number(self, body: Body) -> None:
-        if len(self._numbers) < MAX_OBJECTS:
+        """Give a body a number once it is an object of its own."""
+        known = body.number in self._numbers or body.same_as is not None
+        if not known and len(self._numbers) < MAX_OBJECTS and self._divider.is_object(body):
             self._numbers[body.number] = len(self._numbers) + 1
 
     def _keep(self, time_ns: int, index: int, raw: NDArray[np.uint16], gone: set[int]) -> None:
@@ -87,7 +88,7 @@ class Division:
         table[PASSING] = NOTHING
         for body in self._divider.bodies:
             passes = body.passing.get(index, 0) > TRANSIENT
-            table[body.number] = self._numbers.get(body.number, NOTHING if passes else 0)
+            table[body.number] = self._numbers.get((body.same_as or body).number, NOTHING if passes else 0)
         self._labels[time_ns] = zlib.compress(table[raw].tobytes(), 1)
         found = {body.number for body in self._divider.bodies if body.pose_of(index) is not None}
         self._seen[time_ns], self._gone[time_ns] = self._public(found), self._public(gone)
@@ -109,8 +110,7 @@ class Division:
             packed = zlib.compress(divider.divide(frame).tobytes(), 1)
             raw.append((frame.timestamp_ns, packed, {body.number for body in divider.bodies if body.gone}))
         for body in divider.bodies:
-            if divider.is_object(body):
-                self._number(body)
+            self._number(body)
         for index, (time_ns, packed, gone) in enumerate(raw):
             self._keep(time_ns, index, self._unpacked(packed, np.uint16), gone)
         for body in divider.bodies:

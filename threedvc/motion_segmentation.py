@@ -27,7 +27,7 @@ from threedvc.kernels.free_space import connect_surfaces, spread_labels
 from threedvc.motion import Located, Tracker
 from threedvc.object_model import EvidenceModel
 from threedvc.parallel import for_ranges
-from threedvc.pose import Pose, inverse, rotation_angle
+from threedvc.pose import Pose, inverse, make_pose, rotation_angle
 from threedvc.registration import Status
 from threedvc.registration_starts import predict
 from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
@@ -44,6 +44,7 @@ LANDMARK, MAX_LANDMARKS = 4, 16
 """Frames apart of those that all frames ask while the camera rests, and how many there may be before they thin out."""
 MAX_KEPT = 800
 LEAST_STILL = 0.3
+RECOGNITION_FRAMES, RECOGNITION_STEP = 60, 5
 VOTES, MOSTLY = 2, 0.6
 JUMP = 0.03
 LEAST_PIXELS = 60
@@ -116,6 +117,8 @@ class Body:
         self.radius = 0.0
         self.lost = 0
         self.dead = False
+        self.same_as: Body | None = None
+        self.compared_next = 0
 
     @property
     def last(self) -> int:
@@ -126,6 +129,14 @@ class Body:
     def active(self) -> bool:
         """Whether it is being followed."""
         return not self.dead and self.lost <= LOST_FRAMES
+
+    def become(self, old: Body, frame: int) -> None:
+        """Turn out to be another body, which was found in a frame where this one was found, too."""
+        change = inverse(self.found[frame].T_camera_object) @ old.found[frame].T_camera_object
+        for k, at in self.found.items():
+            if k not in old.found:
+                old.found[k] = replace(at, T_camera_object=at.T_camera_object @ change)
+        self.same_as, self.dead = old, True
 
     def pose_of(self, frame: int) -> Pose | None:
         """Return T_camera_object where it was found."""
@@ -260,6 +271,7 @@ class Divider:
         self._explain(look, active)
         self._give_birth(look)
         self._complete(look)
+        self._recognise(look)
         self._fuse(look)
         self._miss(look)
         return np.where(look.labels, look.labels, np.where(self._passing(look), PASSING, 0)).astype(np.uint16)
@@ -401,10 +413,14 @@ class Divider:
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(FINE_GATE) * depth
         for body in self.bodies:
-            if index in body.found or not self.is_object(body):
+            if index in body.found or body.same_as is not None or not self.is_object(body):
                 continue
+            last = body.found[body.last].T_camera_object
+            # Where the body is seen as a whole: at its last pose it may be half out of the picture.
+            body.tracker.resume(make_pose(last[:3, :3], self._middle(look, mask)))
             at = body.tracker.locate(look.views, mask, body.model)
             if at.status != Status.TRACKED:
+                body.tracker.resume(last)
                 continue
             view = cast_view(body.model, self._form, at.T_camera_object, self.threads).depth
             near, shown = _distance(depth, view) < gate, (view > 0) & (depth > view - gate)
@@ -413,7 +429,26 @@ class Divider:
                 body.lost = 0
                 body.found[index] = at
                 return body
+            body.tracker.resume(last)
         return None
+
+    def _middle(self, look: _Look, mask: Mask) -> NDArray[np.float64]:
+        z = look.frame.depth[mask].astype(np.float64)
+        return np.median(np.column_stack([self._rays[mask] * z[:, None], z]), axis=0)
+
+    def _recognise(self, look: _Look) -> None:
+        """See whether new objects, now that more of them is seen, are ones that were lost."""
+        index = look.frame.index
+        for body in self.bodies:
+            if index not in body.found or index < body.compared_next or not self.is_object(body):
+                continue
+            if index > body.born + RECOGNITION_FRAMES:
+                continue
+            body.compared_next = index + RECOGNITION_STEP
+            old = self._returned(look, look.labels == body.number)
+            if old is not None:
+                body.become(old, index)
+                look.labels[look.labels == body.number] = old.number
 
     def is_object(self, body: Body) -> bool:
         """Tell whether a body moved as one, for long and far enough, through what other frames saw to be empty."""
