@@ -44,6 +44,10 @@ LANDMARK, MAX_LANDMARKS = 4, 16
 """Frames apart of those that all frames ask while the camera rests, and how many there may be before they thin out."""
 MAX_KEPT = 800
 LEAST_STILL = 0.3
+JOINED_FRAMES, NEARBY = 12, 3.0
+TOGETHER, TOGETHER_RAD, WAY_APART = 0.01, 0.06, 4.0
+"""By how much of their distance and by what angle two bodies may move against each other to be one, if they went so
+many times as far."""
 RECOGNITION_FRAMES, RECOGNITION_STEP = 60, 5
 VOTES, MOSTLY = 2, 0.6
 JUMP = 0.03
@@ -136,7 +140,7 @@ class Body:
         for k, at in self.found.items():
             if k not in old.found:
                 old.found[k] = replace(at, T_camera_object=at.T_camera_object @ change)
-        self.same_as, self.dead = old, True
+        self.same_as, self.dead, self.gone = old, True, True
 
     def pose_of(self, frame: int) -> Pose | None:
         """Return T_camera_object where it was found."""
@@ -272,6 +276,7 @@ class Divider:
         self._give_birth(look)
         self._complete(look)
         self._recognise(look)
+        self._join(look)
         self._fuse(look)
         self._miss(look)
         return np.where(look.labels, look.labels, np.where(self._passing(look), PASSING, 0)).astype(np.uint16)
@@ -449,6 +454,41 @@ class Divider:
             if old is not None:
                 body.become(old, index)
                 look.labels[look.labels == body.number] = old.number
+
+    def _join(self, look: _Look) -> None:
+        """Make one body of two that go the same way."""
+        index = look.frame.index
+        here = [body for body in self.bodies if index in body.found and index >= body.born + JOINED_FRAMES]
+        for k, body in enumerate(here):
+            for old in here[:k]:
+                if old.same_as is None and body.same_as is None and self._together(old, body, index):
+                    body.become(old, index)
+                    look.labels[look.labels == body.number] = old.number
+
+    def _together(self, one: Body, other: Body, frame: int) -> bool:
+        """Tell whether two bodies moved in the last frames, and not against each other."""
+        places, way, room = [], 0.0, self.pose_of(frame)
+        here, there = one.pose_of(frame), other.pose_of(frame)
+        if here is None or there is None or room is None:
+            return False
+        for k in range(frame - JOINED_FRAMES, frame):
+            first, second, before = one.pose_of(k), other.pose_of(k), self.pose_of(k)
+            if first is None or second is None or before is None:
+                return False
+            places.append(inverse(first) @ second)
+            moved = inverse(inverse(before) @ first) @ inverse(room) @ here
+            way = max(way, float(np.linalg.norm(moved[:3, 3])))
+        apart = inverse(here) @ there
+        slack = TOGETHER * here[2, 3]
+        near = np.linalg.norm(apart[:3, 3]) < NEARBY * (one.radius + other.radius)
+        return (
+            bool(near)
+            and way > WAY_APART * slack
+            and all(
+                np.linalg.norm((place - apart)[:3, 3]) < slack and rotation_angle(inverse(place) @ apart) < TOGETHER_RAD
+                for place in places
+            )
+        )
 
     def is_object(self, body: Body) -> bool:
         """Tell whether a body moved as one, for long and far enough, through what other frames saw to be empty."""
