@@ -117,11 +117,13 @@ class FrameViews:
         return self._lumas[form.stride]
 
 
-def cast_view(model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, threads: int) -> ModelView:
+def cast_view(
+    model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, threads: int, *, exact: bool = False
+) -> ModelView:
     """Cast the evidence at a pose into the thinned depth camera.
 
-    If sparse, every other ray of every other row is cast first; between four that meet one even surface the rest are
-    interpolated.
+    If the form is sparse and the view need not be exact, every other ray of every other row is cast first; between
+    four that meet one even surface the rest are interpolated.
     """
     camera, grid = thinned.camera, thinned.grid
     count = camera.width * camera.height
@@ -143,8 +145,8 @@ def cast_view(model: EvidenceModel, thinned: Thinned, T_camera_object: Pose, thr
     def squares(start: int, stop: int) -> None:
         fill_between(start, stop, camera.width, depth, normals, intensity, done)
 
-    cast(thinned.even)
-    if len(thinned.between):
+    cast(grid.order if exact else thinned.even)
+    if len(thinned.between) and not exact:
         for_ranges(squares, (camera.height - 1) // 2, threads)
         cast(thinned.between[done[thinned.between] == 0])
     shape = (camera.height, camera.width)

@@ -364,7 +364,7 @@ def refined(
     The pose stays as it is unless the other fits significantly better.
     """
     seen = _seen(views, mask)
-    view = cast_view(model, views.form(mask), at.T_camera_object, threads)
+    view = cast_view(model, views.form(mask), at.T_camera_object, threads, exact=True)
     options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
     found = register(*seen, view, at.T_camera_object, **options)
     if found.status is not Status.TRACKED:
@@ -396,7 +396,7 @@ def refound(
     threads: int,
 ) -> Located:
     """Look for a lost object near a guess in the finished model; it stays lost, at the guess, if it is not there."""
-    view = cast_view(model, views.form(mask), T_guess, threads)
+    view = cast_view(model, views.form(mask), T_guess, threads, exact=True)
     options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=RegistrationConfig())
     found = register_from_starts(*_seen(views, mask), view, T_guess, **options)
     if found.status is not Status.TRACKED:

@@ -93,7 +93,7 @@ def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
         frame = scene.limited(frames[index])
         mask = scene.labels(frame) == 0
         form = scene.views(frame).form(mask)
-        view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads)
+        view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads, exact=True)
         return view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
 
     found = ((index, item.found[index]) for index in misfit_frames(frames))

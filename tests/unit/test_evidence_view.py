@@ -201,3 +201,10 @@ def test_large_views_are_sparse_unless_it_is_said_otherwise() -> None:
     assert len(Thinned(large).even) < len(Thinned(large).grid.slopes) / 3
     assert len(Thinned(large, sparse=False).even) == 320 * 240
     assert len(Thinned(RIG).even) == 48 * 60
+
+
+def test_an_exact_view_is_not_sparse() -> None:
+    model, form = model_of(ball), Thinned(RIG, sparse=True)
+    exact, dense = cast_view(model, form, identity(), 1, exact=True), cast_view(model, Thinned(RIG), identity(), 1)
+    np.testing.assert_array_equal(exact.depth, dense.depth)
+    np.testing.assert_array_equal(exact.normals, dense.normals)
