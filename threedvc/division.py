@@ -9,9 +9,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.body import Body
 from threedvc.config import EncoderConfig
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
-from threedvc.motion_segmentation import PASSING, TRANSIENT, Body, Divider
+from threedvc.motion_segmentation import PASSING, TRANSIENT, Divider
 from threedvc.pose import Pose, inverse
 
 __all__ = ["NOTHING", "Division"]

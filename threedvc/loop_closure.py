@@ -10,6 +10,7 @@ to the next, which is known from tracking but for a little drift; frames between
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,11 +47,11 @@ PAIRWISE = RegistrationConfig(detail_pixels=0, min_overlap=0.2, min_inliers=0.5)
 
 
 class _View:
-    """A keyframe: its number, its views, and its pose ``T_world_camera``."""
+    """A keyframe: its number, its views, and where it was found."""
 
-    def __init__(self, number: int, views: FrameViews, mask: np.ndarray, T_world_camera: Pose) -> None:
+    def __init__(self, number: int, views: FrameViews, mask: np.ndarray, at: Located) -> None:
         form = views.form(mask)
-        self.number, self.T_world_camera = number, T_world_camera
+        self.number, self.T_world_camera, self.part = number, inverse(at.T_camera_object), at.part
         self.depth = np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))
         self.luma, self.camera = views.luma(form), form.camera
         known = self.depth[self.depth > 0]
@@ -90,11 +91,9 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | 
     usable = [at.T_camera_object if at is not None and at.usable else None for at in found]
     keys = []
     for number in key_numbers(usable, scene.distance_m):
-        frame, pose = scene.limited(frames[number]), usable[number]
-        assert pose is not None
-        if frame.depth.any():
-            mask = scene.labels(frame) == 0
-            keys.append(_View(number, scene.views(frame), mask, inverse(pose)))
+        frame, at = scene.limited(frames[number]), found[number]
+        if at is not None and frame.depth.any():
+            keys.append(_View(number, scene.views(frame), scene.labels(frame) == 0, at))
     links = _links(keys, scene)
     before = [key.T_world_camera for key in keys]
     after = zip(keys, optimised(before, links), strict=True)
@@ -121,8 +120,7 @@ def corrected(found: Sequence[Located | None], corrections: dict[int, Pose]) -> 
         before = next((k for k in reversed(numbers) if k <= frame), numbers[0])
         share = (frame - before) / (after - before) if after != before else 0.0
         motion = interpolated(corrections[before], corrections[after], min(max(share, 0.0), 1.0))
-        moved = at and Located(T_camera_object=at.T_camera_object @ inverse(motion), status=at.status)
-        result.append(moved)
+        result.append(at and replace(at, T_camera_object=at.T_camera_object @ inverse(motion)))
     return result
 
 
@@ -130,7 +128,8 @@ def _links(keys: Sequence[_View], scene: Scene) -> list[Link]:
     """Return the motion from each keyframe to the next, and what registration with earlier ones finds."""
     links = []
     for second in range(1, len(keys)):
-        links.append(_step(keys, second))
+        if keys[second].part == keys[second - 1].part:  # how parts lie to each other is not known
+            links.append(_step(keys, second))
         for first in _partners(keys, second):
             link = _link(keys, first, second, scene)
             if link is not None:

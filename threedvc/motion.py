@@ -375,15 +375,20 @@ def refined(
 
 
 def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
-    """Return where a lost object was on its way between the frames nearest to it in which it was found."""
-    usable = [k for k, at in enumerate(found) if at is not None and at.usable]
-    before = max((k for k in usable if k < frame), default=None)
-    after = min((k for k in usable if k > frame), default=None)
-    poses = [at.T_camera_object for k in (before, after) if k is not None and (at := found[k]) is not None]
-    if before is None or after is None:
-        at = found[frame]
-        return poses[0] if poses or at is None else at.T_camera_object
-    return interpolated(poses[0], poses[1], (frame - before) / (after - before))
+    """Return where a lost object was on its way between the frames nearest to it in which it was found.
+
+    Between parts of a model there is no way: then it was where it was before.
+    """
+    usable = [(k, at) for k, at in enumerate(found) if at is not None and at.usable]
+    before = max((each for each in usable if each[0] < frame), default=None, key=lambda each: each[0])
+    after = min((each for each in usable if each[0] > frame), default=None, key=lambda each: each[0])
+    if before is None or after is None or before[1].part != after[1].part:
+        nearest = before or after
+        at = nearest[1] if nearest is not None else found[frame]
+        assert at is not None
+        return at.T_camera_object
+    share = (frame - before[0]) / (after[0] - before[0])
+    return interpolated(before[1].T_camera_object, after[1].T_camera_object, share)
 
 
 def refound(
@@ -401,4 +406,4 @@ def refound(
     found = register_from_starts(*_seen(views, mask), view, T_guess, **options)
     if found.status is not Status.TRACKED:
         return replace(at, T_camera_object=T_guess)
-    return Located(T_camera_object=found.T_camera_object, status=Status.RELOCALISED)
+    return replace(at, T_camera_object=found.T_camera_object, status=Status.RELOCALISED)

@@ -17,22 +17,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.body import LOST_FRAMES, Body
 from threedvc.camera import CameraRig
-from threedvc.config import EncoderConfig, FusionConfig, Motion, Sensor
+from threedvc.config import EncoderConfig, FusionConfig, Motion
 from threedvc.evidence_view import FrameViews, Thinned, cast_view
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.free_space import Memory
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.kernels.free_space import connect_surfaces, spread_labels
-from threedvc.motion import Located, Tracker
+from threedvc.motion import Tracker
 from threedvc.object_model import EvidenceModel
 from threedvc.parallel import for_ranges
 from threedvc.pose import Pose, inverse, make_pose, rotation_angle
 from threedvc.registration import Status
-from threedvc.registration_starts import predict
-from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
+from threedvc.sensor_model import SensorModel, chosen_sensor, within
 
-__all__ = ["PASSING", "TRANSIENT", "Body", "Divider", "Reduction"]
+__all__ = ["PASSING", "TRANSIENT", "Divider", "Reduction"]
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -57,7 +57,6 @@ COARSE_GATE, FINE_GATE = 0.03, 0.01
 GATE_SIGMAS = 4.0
 VIEW_WINDOW = 5
 OWN_OFFSETS = (2, 4, 7, 11, 16, 22, 30, 40)
-LOST_FRAMES = 5
 YOUNG_FRAMES = 10
 BORN, TRANSIENT = 0.25, 0.6
 """Shares of the frames that tell about a surface that must have seen through it, so that it may be a body, or that it
@@ -106,55 +105,6 @@ class Reduction:
         return full
 
 
-class Body:
-    """What may become an object: a model, where it was found, and how well it fitted."""
-
-    def __init__(self, number: int, born: int, voxel_size_m: float, tracker: Tracker) -> None:
-        self.number, self.born = number, born
-        self.model = EvidenceModel(voxel_size_m)
-        self.tracker = tracker
-        self.found: dict[int, Located] = {}
-        self.fit: dict[int, float] = {}
-        self.passing: dict[int, float] = {}
-        self.gone = False
-        self.proved: int | None = None
-        self.radius = 0.0
-        self.lost = 0
-        self.dead = False
-        self.same_as: Body | None = None
-        self.compared_next = 0
-
-    @property
-    def last(self) -> int:
-        """The last frame in which it was found."""
-        return max(self.found)
-
-    @property
-    def active(self) -> bool:
-        """Whether it is being followed."""
-        return not self.dead and self.lost <= LOST_FRAMES
-
-    def become(self, old: Body, frame: int) -> None:
-        """Turn out to be another body, which was found in a frame where this one was found, too."""
-        change = inverse(self.found[frame].T_camera_object) @ old.found[frame].T_camera_object
-        for k, at in self.found.items():
-            if k not in old.found:
-                old.found[k] = replace(at, T_camera_object=at.T_camera_object @ change)
-        self.same_as, self.dead, self.gone = old, True, True
-
-    def pose_of(self, frame: int) -> Pose | None:
-        """Return T_camera_object where it was found."""
-        at = self.found.get(frame)
-        return None if at is None or not at.usable else at.T_camera_object
-
-    def predicted(self, frame: int) -> Pose:
-        """Return where it goes on to with its last velocity, where that is known."""
-        last = self.last
-        before = self.pose_of(last - 1)
-        here = self.found[last].T_camera_object
-        return here if before is None or frame - last > 2 else predict(before, here)
-
-
 @dataclass(eq=False)
 class _Look:
     """A frame under division."""
@@ -199,13 +149,12 @@ class Divider:
     def limited(self, frame: Frame) -> Frame:
         """Return a frame reduced, without what is too far to be measured."""
         if self.sensor is None:
-            chosen = self.config.sensor
-            self.sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
+            self.sensor = chosen_sensor(self.config.sensor, frame.depth)
             self.memory = Memory(self.rig.depth, self.sensor, self.threads)
             self._camera = Tracker(self.sensor, self.threads, recovers=False)
         limit = self.config.max_depth_m or self.sensor.reach_m
         small = self.reduction(frame)
-        return replace(small, depth=np.where((small.depth > 0) & (small.depth <= limit), small.depth, np.float32(0)))
+        return replace(small, depth=within(small.depth, limit))
 
     def look(self, frame: Frame) -> None:
         """Find the camera in the next frame, and remember the frame."""

@@ -23,7 +23,7 @@ from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.rate_control import live_cell_factor
 from threedvc.registration_starts import predict
 from threedvc.segmentation import resolved_mode, segment
-from threedvc.sensor_model import SENSORS, SensorModel, guess_sensor
+from threedvc.sensor_model import SENSORS, SensorModel, chosen_sensor, within
 from threedvc.uncertainty import EntropyMeter
 
 __all__ = ["Scene", "SceneObject", "default_voxel_size"]
@@ -194,8 +194,7 @@ class Scene:
         check_frame(frame, self.info)
         frame = self.limited(frame)
         if self._sensor is None:
-            chosen = self.config.sensor
-            self._sensor = SENSORS[guess_sensor(frame.depth) if chosen is Sensor.AUTO else chosen]
+            self._sensor = chosen_sensor(self.config.sensor, frame.depth)
             frame = self.limited(frame)
         self.repeated.append(self._before is not None and _same_pictures(frame, self._before))
         self._before = frame
@@ -317,7 +316,7 @@ class Scene:
         That is the one asked for, or else where the sensor is no longer good to 0.1 m.
         """
         limit = self.config.max_depth_m or (self._sensor.reach_m if self._sensor else MAX_DEPTH_M)
-        return replace(frame, depth=np.where((frame.depth > 0) & (frame.depth <= limit), frame.depth, np.float32(0)))
+        return replace(frame, depth=within(frame.depth, limit))
 
     def _object(self, number: int, frame: Frame, mask: NDArray[np.bool_], sensor: SensorModel) -> SceneObject | None:
         """Return an object, new where enough pixels show it for the first time."""

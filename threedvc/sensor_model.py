@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from threedvc.config import Sensor
 from threedvc.errors import ConfigError
 
-__all__ = ["SENSORS", "SensorModel", "guess_sensor"]
+__all__ = ["SENSORS", "SensorModel", "chosen_sensor", "guess_sensor", "within"]
 
 MAX_IDEAL_ROUGHNESS = 0.001
 MIN_SMOOTH_PIXELS = 100
@@ -104,3 +104,13 @@ def guess_sensor(depth: NDArray[np.float32]) -> Sensor:
         return Sensor.KINECT1
     roughness = float(np.quantile(bend[smooth] / middle[smooth] ** 2, 0.75))
     return Sensor.IDEAL if roughness < MAX_IDEAL_ROUGHNESS else Sensor.KINECT1
+
+
+def chosen_sensor(asked: Sensor, depth: NDArray[np.float32]) -> SensorModel:
+    """Return the model of the sensor asked for, or of the one that a depth map (h, w) in metres looks like."""
+    return SENSORS[guess_sensor(depth) if asked is Sensor.AUTO else asked]
+
+
+def within(depth: NDArray[np.float32], furthest_m: float) -> NDArray[np.float32]:
+    """Return a depth map (h, w) in metres without what is no number or further away."""
+    return np.where((depth > 0) & (depth <= furthest_m), depth, np.float32(0))

@@ -77,10 +77,12 @@ def test_a_short_path_has_no_loop(frames: list[Frame]) -> None:
 
 def test_frames_between_are_corrected_by_shares() -> None:
     found: list[Located | None] = [Located(T_camera_object=identity(), status="tracked") for _ in range(7)]
-    found[2] = None
+    found[2], found[3] = None, Located(T_camera_object=identity(), status="weak", part=2)
     shift = make_pose(np.eye(3), np.array([0.0, 0.4, 0.0]))
     result = corrected(found, {1: identity(), 5: shift})
     assert result[2] is None
+    assert result[3] is not None
+    assert (result[3].status, result[3].part) == ("weak", 2)
     heights = [None if at is None else inverse(at.T_camera_object)[1, 3] for at in result]
     assert heights == [0.0, 0.0, None, pytest.approx(0.2), pytest.approx(0.3), pytest.approx(0.4), pytest.approx(0.4)]
 

@@ -13,7 +13,7 @@ from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.decoder import Decoder
 from threedvc.encoder import Encoder
 from threedvc.frame import Frame
-from threedvc.motion import Located, joined_parts
+from threedvc.motion import Located, joined_parts, pose_between
 from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.scene import Scene
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -123,3 +123,16 @@ def test_chains_of_parts_are_joined() -> None:
     joined = joined_parts(found, {2: (up, 1), 1: (up, 0)})
     assert [at and at.part for at in joined] == [0, 0, 0, 3, None]
     assert [at and at.T_camera_object[1, 3] for at in joined] == [0.0, 1.0, 2.0, 0.0, None]
+
+
+def test_a_lost_frame_is_between_its_neighbours_only_within_a_part() -> None:
+    up = make_pose(np.eye(3), np.array([0.0, 4.0, 0.0]))
+    lost = Located(T_camera_object=identity(), status="lost")
+    first, second = (Located(T_camera_object=pose, status="tracked") for pose in (identity(), up))
+    assert pose_between([first, lost, lost, lost, second], 1)[1, 3] == pytest.approx(1.0)
+    far = replace(second, part=1)
+    for frame in (1, 3):
+        np.testing.assert_array_equal(pose_between([first, lost, lost, lost, far], frame), identity())
+    np.testing.assert_array_equal(pose_between([lost, far], 0), up)
+    np.testing.assert_array_equal(pose_between([far, lost], 1), up)
+    np.testing.assert_array_equal(pose_between([lost], 0), identity())
