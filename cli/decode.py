@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,7 @@ FILTERS = ("all", "none", "silhouettes", "surfaces")
               help="Pictures to write.")  # fmt: skip
 @click.option("--size", type=picture_size, metavar="WxH", help="Size of the pictures.  [default: as encoded]")
 @click.option("--objects", type=object_numbers, metavar="LIST", help="Draw only these objects, such as 0,2.")
+@click.option("--sensor", type=click.IntRange(min=0), metavar="N", help="Decode only this sensor's frames, from 0.")
 @click.option("--camera-path", type=click.Path(path_type=Path), metavar="FILE",
               help="Draw from these viewpoints: lines as in poses.txt.")  # fmt: skip
 @click.option("--filter", "filter_parts", type=click.Choice(FILTERS), default="all", show_default=True,
@@ -49,6 +51,7 @@ def decode(
     what: frozenset[str],
     size: tuple[int, int] | None,
     objects: tuple[int, ...] | None,
+    sensor: int | None,
     camera_path: Path | None,
     filter_parts: str,
     supersample: int | None,
@@ -56,11 +59,12 @@ def decode(
 ) -> None:
     """Decode INPUT.3dvc (- is standard input) into color/, depth/ and masks/ with the cameras and poses in OUTDIR.
 
-    A stream that ends too early is decoded as far as it goes; the exit code is then 1.
+    The frames of several sensors go into OUTDIR/sensor0, OUTDIR/sensor1, ... A stream that ends too early is decoded
+    as far as it goes; the exit code is then 1.
     """
     from threedvc.config import FilterParts, RenderConfig
     from threedvc.formats.api import open_stream
-    from threedvc.formats.sinks.plain import PlainSink
+    from threedvc.formats.sinks.plain import PlainSink, sensor_folder
     from threedvc.parallel import default_threads
 
     stream = open_stream(
@@ -70,17 +74,25 @@ def decode(
         size=size,
         objects=objects,
         camera_path=None if camera_path is None else _camera_path(camera_path),
+        sensor=sensor,
         render=RenderConfig(
             supersample=supersample,
             filter_parts=FilterParts(filter_parts),
             threads=threads or default_threads(),
         ),
     )
-    with Progress("decode", stream.info.frame_count) as progress, PlainSink(folder, stream.info, what=what) as sink:
+    several = len(stream.infos) > 1 and sensor is None and camera_path is None
+    with Progress("decode", stream.info.frame_count) as progress, ExitStack() as opened:
+        places = [sensor_folder(folder, number) for number in range(len(stream.infos))] if several else [folder]
+        infos = stream.infos if several else [stream.info]
+        sinks = [
+            opened.enter_context(PlainSink(place, info, what=what, mounted=several))
+            for place, info in zip(places, infos, strict=True)
+        ]
         try:
             for frame in stream:
-                sink.write(
-                    frame.index,
+                sinks[frame.sensor if several else 0].write(
+                    frame.number,
                     frame.timestamp_ns,
                     color=frame.color,
                     depth=frame.depth,

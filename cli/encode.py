@@ -34,17 +34,27 @@ STANDARD_OUTPUT = Path("-")
 LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare")
 PRESETS = ("live", "fast", "medium", "slow")
 SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
+OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps")
 
 
 @click.command(short_help="Encode a folder of RGB-D frames.")
-@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("sources", metavar="INPUT", nargs=-1, type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUTPUT.3dvc", type=click.Path(path_type=Path, allow_dash=True))
-@click.option("--layout", type=click.Choice(LAYOUTS), default="auto", show_default=True, help="Layout of INPUT.")
-@click.option("--color", metavar="DIR", help="Folder of colour pictures.")
-@click.option("--depth", metavar="DIR", help="Folder of 16-bit depth pictures.")
-@click.option("--intrinsics", metavar="FILE|FX,FY,CX,CY", help="Cameras: an intrinsics.json, or four numbers.")
-@click.option("--depth-scale", type=positive_number, metavar="N", help="Units of depth pictures per metre.")
-@click.option("--fps", type=positive_number, metavar="N", help="Frame rate of INPUT.")
+@click.option("--input", "inputs", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
+              help="A further sensor's INPUT, or the first one's.")  # fmt: skip
+@click.option("--extrinsics", metavar="FILE|TX,TY,TZ,QX,QY,QZ,QW", multiple=True,
+              help="Pose of each sensor after the first in the first one's depth camera.  "
+              "[default: T_base_depth of intrinsics.json]")  # fmt: skip
+@click.option("--delay", type=float, metavar="SECONDS", multiple=True,
+              help="Add to the times of each sensor after the first.  [default: 0]")  # fmt: skip
+@click.option("--layout", type=click.Choice(LAYOUTS), multiple=True, help="Layout of INPUT.  [default: auto]")
+@click.option("--color", metavar="DIR", multiple=True, help="Folder of colour pictures.")
+@click.option("--depth", metavar="DIR", multiple=True, help="Folder of 16-bit depth pictures.")
+@click.option("--intrinsics", metavar="FILE|FX,FY,CX,CY", multiple=True,
+              help="Cameras: an intrinsics.json, or four numbers.")  # fmt: skip
+@click.option("--depth-scale", type=positive_number, metavar="N", multiple=True,
+              help="Units of depth pictures per metre.")  # fmt: skip
+@click.option("--fps", type=positive_number, metavar="N", multiple=True, help="Frame rate of INPUT.")
 @click.option("--max-depth", type=length, metavar="LENGTH", help="Ignore measurements beyond.")
 @click.option("--frames", type=frame_range, metavar="A:B[:S]", help="Encode frames A to B-1, every S-th.")
 @click.option("--voxel-size", type=length, metavar="LENGTH", help="Edge of a cell.  [default: from the first frame]")
@@ -54,7 +64,7 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               show_default=True,
               help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT, by what moves."
               )  # fmt: skip
-@click.option("--sensor", type=click.Choice(SENSORS), default="auto", show_default=True, help="Noise of the depth.")
+@click.option("--sensor", type=click.Choice(SENSORS), multiple=True, help="Noise of the depth.  [default: auto]")
 @click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,
               help="How much work: send at once; fit colours; refine cameras and poses, too; for longer.")  # fmt: skip
 @click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
@@ -68,17 +78,25 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
 @threads_option
 @json_option
-def encode(source: Path, output: Path, verify: bool, as_json: bool, **choices: Any) -> None:
+def encode(
+    sources: tuple[Path, ...], inputs: tuple[Path, ...], output: Path, verify: bool, as_json: bool, **choices: Any
+) -> None:
     """Encode the RGB-D frames in the folder INPUT into a stream; OUTPUT.3dvc may be - (standard output).
 
     Lengths: 8mm, 1cm, 0.02m; a plain number is metres.
+
+    Several sensors that are mounted together have a folder each, INPUT and --input; options from --layout to --fps
+    and --sensor are then given once, or once for each sensor in their order.
     """
     from threedvc.formats import api
 
     if as_json and output == STANDARD_OUTPUT:
         raise click.UsageError("--json and the output - both write to standard output; name a file for one of them")
-    config = _configuration(choices)
-    sequence = _open(source, choices)
+    folders = [*sources, *inputs]
+    if not folders:
+        raise click.UsageError("no INPUT; name the folder of RGB-D frames, then OUTPUT.3dvc")
+    config = _configuration(choices, len(folders))
+    sequence = _open(folders, choices)
     info = sequence.info
     with Progress("encode", info.frame_count, info.fps) as progress:
         report = api.encode(
@@ -93,14 +111,21 @@ def encode(source: Path, output: Path, verify: bool, as_json: bool, **choices: A
         click.echo(json.dumps(_as_map(report), indent=1))
 
 
-def _open(source: Path, choices: dict[str, Any]) -> FrameSequence:
-    from threedvc.formats.sources import open_sequence
+def _open(folders: list[Path], choices: dict[str, Any]) -> FrameSequence:
+    from threedvc.formats.sources import open_sensors, open_sequence
 
-    names = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "frames")
-    return open_sequence(source, max_depth_m=choices["max_depth"], **{name: choices[name] for name in names})
+    common = {"max_depth_m": choices["max_depth"], "frames": choices["frames"]}
+    if len(folders) > 1:
+        each = {name: choices[name] for name in OF_EACH_SENSOR}
+        return open_sensors(folders, extrinsics=choices["extrinsics"], delays_s=choices["delay"], **each, **common)
+    for name in (*OF_EACH_SENSOR, "extrinsics", "delay"):
+        if len(choices[name]) > (name in OF_EACH_SENSOR):
+            option = f"--{name.replace('_', '-')}"
+            raise click.UsageError(f"{option} is given for more sensors than there are; add --input DIR for the others")
+    return open_sequence(folders[0], **{name: choices[name][0] for name in OF_EACH_SENSOR if choices[name]}, **common)
 
 
-def _configuration(choices: dict[str, Any]) -> EncoderConfig:
+def _configuration(choices: dict[str, Any], sensors: int) -> EncoderConfig:
     from threedvc.config import EncoderConfig, Motion, Preset, Sensor, with_preset, with_quality
     from threedvc.parallel import default_threads
 
@@ -109,11 +134,17 @@ def _configuration(choices: dict[str, Any]) -> EncoderConfig:
     if choices["causal"] and choices["preset"] not in ("live", "medium"):
         raise click.UsageError(f"--causal and --preset {choices['preset']} contradict each other; give one of them")
     preset = Preset.LIVE if choices["causal"] else Preset(choices["preset"])
+    if len(choices["sensor"]) not in (0, 1, sensors):
+        raise click.UsageError(
+            f"--sensor is given {len(choices['sensor'])} times; give it once, or once for each INPUT"
+        )
+    noise, *others = map(Sensor, choices["sensor"] or ["auto"])
     config = EncoderConfig(
         voxel_size_m=choices["voxel_size"],
         max_depth_m=choices["max_depth"],
         motion=Motion(choices["motion"]),
-        sensor=Sensor(choices["sensor"]),
+        sensor=noise,
+        other_sensors=tuple(others),
         segmentation=choices["segment"],
         focus=choices["focus"],
         threads=choices["threads"] or default_threads(),

@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 
 __all__ = ["stats"]
 
-FRAME_COLUMNS = ("frame", "timestamp_ns", "bytes", "entropy_bits", "status", "visible_objects")
+FRAME_COLUMNS = ("frame", "timestamp_ns", "bytes", "entropy_bits", "status", "visible_objects", "sensor")
 POSITION_COLUMNS = ("camera_x_m", "camera_y_m", "camera_z_m")
 
 
 @click.command(short_help="Report sizes and quality of a stream.")
 @stream_argument
-@click.option("--reference", type=click.Path(path_type=Path), metavar="FOLDER", help="Compare with these frames.")
+@click.option("--reference", "references", type=click.Path(path_type=Path), metavar="FOLDER", multiple=True,
+              help="Compare with these frames; once for each sensor of the stream.")  # fmt: skip
 @json_option
 @click.option(
     "--plot",
@@ -41,11 +42,11 @@ POSITION_COLUMNS = ("camera_x_m", "camera_y_m", "camera_z_m")
     "--trajectory",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Write the camera's poses: frame tx ty tz qx qy qz qw.",
+    help="Write the (first sensor's) camera's poses: frame tx ty tz qx qy qz qw.",
 )
 def stats(
     source: Path,
-    reference: Path | None,
+    references: tuple[Path, ...],
     as_json: bool,
     plot: Path | None,
     per_frame: Path | None,
@@ -61,7 +62,7 @@ def stats(
     if plot is not None:
         check_plotting(plot)
     with Progress("compare", None) as progress:
-        report = statistics(source, reference, on_frame=lambda index: progress.advance(index + 1))
+        report = statistics(source, references or None, on_frame=lambda index: progress.advance(index + 1))
     if per_frame is not None:
         _write_rows(per_frame, report.per_frame)
     if trajectory is not None:
@@ -85,5 +86,6 @@ def _write_rows(path: Path, frames: Sequence[FrameStatistics]) -> None:
 def _write_trajectory(path: Path, frames: Sequence[FrameStatistics]) -> None:
     from threedvc.formats.sinks.poses import pose_lines
 
-    lines = pose_lines((item.frame, item.T_world_camera) for item in frames)
+    own = (item.T_world_camera for item in frames if not item.sensor)
+    lines = pose_lines(enumerate(own))
     write_file(path, "".join(f"{line}\n" for line in lines).encode())

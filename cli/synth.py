@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -25,6 +26,8 @@ NOISES = ("ideal", "kinect")
     "--size", type=picture_size, metavar="WxH", help="Size of the pictures.  [default: 320x240; paper: 100x100]"
 )
 @click.option("--noise", type=click.Choice(NOISES), default="ideal", show_default=True, help="Depth sensor.")
+@click.option("--sensors", type=click.IntRange(1, 16), metavar="N", default=1, show_default=True,
+              help="Sensors that are mounted together; several write OUTDIR/sensor0, OUTDIR/sensor1, ...")  # fmt: skip
 @click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Varies textures, motion and noise.")
 @threads_option
 def synth(
@@ -33,6 +36,7 @@ def synth(
     frames: int | None,
     size: tuple[int, int] | None,
     noise: str,
+    sensors: int,
     seed: int,
     threads: int | None,
 ) -> None:
@@ -43,13 +47,17 @@ def synth(
     objects  three toys that hide each other before a fixed camera; one of them pauses
     room     a hand-held camera in a furnished room that comes back to where it started
     """
-    from threedvc.formats.sinks.plain import PlainSink
-    from threedvc.synthesis import SyntheticSequence, make_scene
+    from threedvc.formats.sinks.plain import PlainSink, sensor_folder
+    from threedvc.pose import inverse
+    from threedvc.synthesis import make_scene, mounted_sequences
 
-    sequence = SyntheticSequence(make_scene(scene, frames=frames, size=size, seed=seed), noise, seed, threads)
-    with Progress("synth", len(sequence)) as progress:
-        with PlainSink(folder, sequence.info, threads=threads) as sink:
-            for frame in sequence:
-                sink.write_frame(frame)
-                progress.advance(frame.index + 1)
-        progress.summary(f"{folder}: {len(sequence)} frames, {progress.frames_per_second:.1f} frames/s")
+    sequences = mounted_sequences(make_scene(scene, frames=frames, size=size, seed=seed), sensors, noise, seed, threads)
+    with Progress("synth", sum(len(sequence) for sequence, _ in sequences)) as progress:
+        for number, (sequence, T) in enumerate(sequences):
+            info = sequence.info.with_rigs([replace(sequence.info.rig, T_depth_base=inverse(T))])
+            place = folder if sensors == 1 else sensor_folder(folder, number)
+            with PlainSink(place, info, mounted=sensors > 1, threads=threads) as sink:
+                for frame in sequence:
+                    sink.write_frame(frame)
+                    progress.advance(progress.frames + 1)
+        progress.summary(f"{folder}: {progress.frames} frames, {progress.frames_per_second:.1f} frames/s")

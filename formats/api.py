@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from typing import BinaryIO, overload
 
 import numpy as np
@@ -22,7 +23,7 @@ from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import open_input, open_output
 from threedvc.formats.sources import open_sequence
 from threedvc.frame import NANOSECONDS, FrameSequence, SequenceInfo
-from threedvc.packets import Packet, PacketType, StreamHeader
+from threedvc.packets import Packet, PacketType, SensorHeader, StreamHeader
 from threedvc.pose import Pose, compose, inverse
 from threedvc.rendering import Picture, Renderer, RenderModel
 from threedvc.report import FrameReport
@@ -149,6 +150,8 @@ class DecodedFrame:
     ----------
     index, timestamp_ns
         Which frame.
+    sensor, number
+        The sensor that took it, from 0, and which of its own frames it is.
     color
         (h, w, 3) uint8 RGB in the colour camera.
     depth
@@ -163,6 +166,8 @@ class DecodedFrame:
 
     index: int
     timestamp_ns: int
+    sensor: int
+    number: int
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     labels: NDArray[np.uint8]
@@ -177,8 +182,8 @@ class DecodedStream:
 
     Attributes
     ----------
-    info
-        The sequence as it will come out; `frame_count` is None, for only END tells.
+    infos
+        What each sensor's frames will be as a sequence; `frame_count` is None, for only END tells.
     decoder
         Models, report and completeness, as far as decoding has come.
     """
@@ -192,6 +197,7 @@ class DecodedStream:
         size: tuple[int, int] | None,
         objects: Sequence[int] | None,
         camera_path: Sequence[Pose] | None,
+        sensor: int | None,
         render: RenderConfig | None,
     ) -> None:
         if camera_path is not None and not len(camera_path):
@@ -202,40 +208,52 @@ class DecodedStream:
         self._opened = ExitStack()
         reader = self._opened.enter_context(open_input(source))
         self._name, self._packets = reader.name, iter(reader)
-        self._head = next(self._packets, None)
-        if self._head is None or self._head.type != PacketType.STREAM:
+        self._heads = list(islice(self._packets, 1))
+        if not self._heads or self._heads[0].type != PacketType.STREAM:
             raise TruncatedStream(f"{self._name}: ends before its STREAM packet; nothing can be decoded")
-        header = StreamHeader.from_map(self._head.header)
-        rig = rig_of(header)
-        self._rig = rig if size is None else rig.resized(*size)
-        self._as_filmed = camera_path is None and (self._rig.color.width, self._rig.color.height) == (
-            rig.color.width,
-            rig.color.height,
-        )
-        self._renderer = Renderer(self._rig, render)
+        first = StreamHeader.from_map(self._heads[0].header)
+        headers: list[StreamHeader | SensorHeader] = [first]
+        for _ in range(first.sensors - 1):
+            packet = next(self._packets, None)
+            if packet is None or packet.type != PacketType.SENSOR:
+                raise TruncatedStream(f"{self._name}: ends before all its SENSOR packets; nothing can be decoded")
+            self._heads.append(packet)
+            headers.append(SensorHeader.from_map(packet.header))
+        if sensor is not None and not 0 <= sensor < len(headers):
+            raise ConfigError(f"{self._name}: has no sensor {sensor}; choose from 0 to {len(headers) - 1}")
+        rigs = [rig_of(header) for header in headers]
+        shown = [rig if size is None else rig.resized(*size) for rig in rigs]
+        self._sensor = 0 if sensor is None and camera_path is not None else sensor
+        self._as_filmed = camera_path is None and all(_same_size(*pair) for pair in zip(rigs, shown, strict=True))
+        self._renderers = [Renderer(rig, render) for rig in shown]
         self._models: dict[int, RenderModel] = {}
-        self.info = _info(header, self._rig, what)
+        self.infos = tuple(_info(header, rig, what) for header, rig in zip(headers, shown, strict=True))
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What the frames of the first sensor, or of the one that is chosen, will be as a sequence."""
+        return self.infos[self._sensor or 0]
 
     def __iter__(self) -> Iterator[DecodedFrame]:
         first, stop = self._frames
+        wanted = range(len(self.infos)) if self._sensor is None else [self._sensor]
+        seen = dict.fromkeys(wanted, 0)
         with self._opened, errors_named(self._name):
-            for state in self.decoder.frames(self._all_packets()):
-                if stop is not None and state.index >= stop:
+            for state in self.decoder.frames(chain(self._heads, self._packets)):
+                if stop is not None and min(seen.values()) >= stop:
                     return
-                if state.index >= first:
+                if state.sensor not in seen:
+                    continue
+                seen[state.sensor] = state.number + 1
+                if state.number >= first and (stop is None or state.number < stop):
                     yield self._draw(state)
-        if first >= self.decoder.frame_count:
-            raise ConfigError(f"frame {first} is beyond the stream, which has {self.decoder.frame_count} frames")
-
-    def _all_packets(self) -> Iterator[Packet]:
-        assert self._head is not None
-        yield self._head
-        yield from self._packets
+        if first >= max(seen.values()):
+            raise ConfigError(f"frame {first} is beyond the stream, which has {max(seen.values())} frames")
 
     def _draw(self, state: FrameState) -> DecodedFrame:
         T_world_camera, poses = state.T_world_camera, dict(state.T_camera_object)
         if self._camera_path is not None:
-            seen_from = self._camera_path[min(state.index, len(self._camera_path) - 1)]
+            seen_from = self._camera_path[min(state.number, len(self._camera_path) - 1)]
             T_view_camera = compose(inverse(seen_from), T_world_camera)
             poses = {number: compose(T_view_camera, pose) for number, pose in poses.items()}
             T_world_camera = seen_from
@@ -243,6 +261,8 @@ class DecodedStream:
         return DecodedFrame(
             index=state.index,
             timestamp_ns=state.timestamp_ns,
+            sensor=state.sensor,
+            number=state.number,
             color=picture.color,
             depth=picture.depth,
             labels=picture.labels,
@@ -258,13 +278,14 @@ class DecodedStream:
 
     def _picture(self, poses: dict[int, Pose], state: FrameState) -> Picture:
         """Draw the objects; gain and shift are those of the camera that filmed, not of one on another path."""
+        renderer = self._renderers[state.sensor]
         shown = {number: pose for number, pose in poses.items() if self._shows(number)}
         for number in shown:
             if number not in self._models:
                 self._models[number] = RenderModel(self.decoder.models[number])
-            self._models[number].refresh(self._renderer.config.threads)
+            self._models[number].refresh(renderer.config.threads)
         filmed = self._camera_path is None
-        return self._renderer.draw(
+        return renderer.draw(
             self._models,
             shown,
             color="color" in self._what,
@@ -287,7 +308,11 @@ def errors_named(name: str) -> Iterator[None]:
         raise type(error)(f"{name}: {error}") from None
 
 
-def _info(header: StreamHeader, rig: CameraRig, what: frozenset[str]) -> SequenceInfo:
+def _same_size(one: CameraRig, other: CameraRig) -> bool:
+    return (one.color.width, one.color.height) == (other.color.width, other.color.height)
+
+
+def _info(header: StreamHeader | SensorHeader, rig: CameraRig, what: frozenset[str]) -> SequenceInfo:
     return SequenceInfo(
         name=header.name,
         rig=rig,
@@ -309,6 +334,7 @@ def open_stream(
     size: tuple[int, int] | None = None,
     objects: Sequence[int] | None = None,
     camera_path: Sequence[Pose] | None = None,
+    sensor: int | None = None,
     render: RenderConfig | None = None,
 ) -> DecodedStream:
     """Open a stream for decoding.
@@ -318,7 +344,7 @@ def open_stream(
     source
         A file name, ``-`` for standard input, or a binary stream.
     frames
-        First frame and the one after the last; None: all.
+        First frame and the one after the last, counted for each sensor by itself; None: all.
     what
         Which of ``color``, ``depth``, ``labels`` are wanted; without colour its rays are saved.
     size
@@ -326,7 +352,10 @@ def open_stream(
     objects
         Numbers of the objects to draw; None: all.
     camera_path
-        T_world_camera for each frame, its last one for all that follow; None: as filmed.
+        T_world_camera for each frame of the first sensor, or of the one that is chosen, whose cameras are moved there;
+        its last one for all that follow; None: as filmed.
+    sensor
+        Number of the sensor whose frames are drawn; None: all.
     render
         Choices of the renderer.
 
@@ -336,7 +365,14 @@ def open_stream(
         Iterate over it for the frames; TruncatedStream is raised after the last one that is complete.
     """
     return DecodedStream(
-        source, frames=frames, what=what, size=size, objects=objects, camera_path=camera_path, render=render
+        source,
+        frames=frames,
+        what=what,
+        size=size,
+        objects=objects,
+        camera_path=camera_path,
+        sensor=sensor,
+        render=render,
     )
 
 
@@ -348,9 +384,17 @@ def decode(
     size: tuple[int, int] | None = None,
     objects: Sequence[int] | None = None,
     camera_path: Sequence[Pose] | None = None,
+    sensor: int | None = None,
     render: RenderConfig | None = None,
 ) -> Iterator[DecodedFrame]:
     """Iterate over the frames of a stream; the parameters are those of `open_stream`."""
     yield from open_stream(
-        source, frames=frames, what=what, size=size, objects=objects, camera_path=camera_path, render=render
+        source,
+        frames=frames,
+        what=what,
+        size=size,
+        objects=objects,
+        camera_path=camera_path,
+        sensor=sensor,
+        render=render,
     )

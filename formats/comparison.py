@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
 from threedvc.errors import SequenceError
@@ -36,8 +36,34 @@ def check_comparable(decoded: SequenceInfo, reference: SequenceInfo) -> None:
             )
 
 
+class _Partner:
+    """The frames of one sensor's reference, to be paired with `frames` decoded ones."""
+
+    def __init__(self, reference: FrameSequence, frames: int) -> None:
+        self._reference, self._frames = reference, frames
+        self._in_order = len(reference) == frames
+        self._tolerance_ns = NANOSECONDS / reference.info.fps / 2
+        self._candidates = iter(reference)
+        self._candidate = None if self._in_order else next(self._candidates, None)
+
+    def of(self, drawn: DecodedFrame) -> Frame:
+        """Return the partner of the next decoded frame."""
+        if self._in_order:
+            return next(self._candidates)
+        candidate = self._candidate
+        while candidate is not None and candidate.timestamp_ns < drawn.timestamp_ns - self._tolerance_ns:
+            candidate = next(self._candidates, None)
+        self._candidate = candidate
+        if candidate is None or candidate.timestamp_ns > drawn.timestamp_ns + self._tolerance_ns:
+            raise SequenceError(
+                f"{self._reference.info.name}: has {len(self._reference)} frames and none at {drawn.timestamp_ns} ns, "
+                f"the time of frame {drawn.number} of {self._frames} in the stream; give the frames that were encoded"
+            )
+        return candidate
+
+
 def paired(
-    decoded: Iterable[DecodedFrame], reference: FrameSequence, frames: int
+    decoded: Iterable[DecodedFrame], references: Sequence[FrameSequence], frames: Sequence[int]
 ) -> Iterator[tuple[DecodedFrame, Frame]]:
     """Pair decoded frames with those of the reference.
 
@@ -45,32 +71,20 @@ def paired(
     ----------
     decoded
         In order of time.
-    reference
-        The frames that were encoded, or a sequence that contains them.
+    references
+        For each sensor the frames that were encoded, or a sequence that contains them.
     frames
-        Number of decoded frames. Where the reference has as many, they are paired in order, else
+        Number of decoded frames of each sensor. Where its reference has as many, they are paired in order, else
         by time, within half a frame period.
 
     Raises
     ------
     SequenceError
-        If the reference has no frame at the time of a decoded one.
+        If a reference has no frame at the time of a decoded one.
     """
-    if len(reference) == frames:
-        yield from zip(decoded, reference, strict=False)
-        return
-    tolerance_ns = NANOSECONDS / reference.info.fps / 2
-    candidates = iter(reference)
-    candidate = next(candidates, None)
+    partners = [_Partner(reference, count) for reference, count in zip(references, frames, strict=True)]
     for drawn in decoded:
-        while candidate is not None and candidate.timestamp_ns < drawn.timestamp_ns - tolerance_ns:
-            candidate = next(candidates, None)
-        if candidate is None or candidate.timestamp_ns > drawn.timestamp_ns + tolerance_ns:
-            raise SequenceError(
-                f"{reference.info.name}: has {len(reference)} frames and none at {drawn.timestamp_ns} ns, the time of"
-                f" frame {drawn.index} of {frames} in the stream; give the frames that were encoded"
-            )
-        yield drawn, candidate
+        yield drawn, partners[drawn.sensor].of(drawn)
 
 
 @dataclass(kw_only=True)
@@ -80,7 +94,7 @@ class Comparison:
     Attributes
     ----------
     depth_scale
-        Units per metre of the depth pictures, in which depth is compared.
+        Units per metre of depth pictures, in which depth is compared.
     per_frame
         Measures of each frame alone, under their names in the JSON report.
     objects
@@ -96,18 +110,16 @@ class Comparison:
 
     def add(self, drawn: DecodedFrame, given: Frame) -> None:
         """Compare one frame."""
-        color = ColorQuality.measure(given.color, drawn.color)
+        color, scale = ColorQuality.measure(given.color, drawn.color), self.depth_scale
         depth = DepthErrors.measure(
-            depth_units(given.depth, self.depth_scale),
-            depth_units(drawn.depth, self.depth_scale),
-            MILLIMETRES / self.depth_scale,
+            depth_units(given.depth, scale), depth_units(drawn.depth, scale), MILLIMETRES / scale
         )
         self.per_frame.append(asdict(color) | depth.quality())
         self._color.append(color)
         self._depth = depth if self._depth is None else self._depth + depth
         self.objects.add(drawn, given)
-        if given.T_world_camera is not None:
-            self._camera[drawn.index] = (given.T_world_camera, drawn.T_world_camera)
+        if given.T_world_camera is not None and not drawn.sensor:
+            self._camera[drawn.number] = (given.T_world_camera, drawn.T_world_camera)
 
     def quality(self) -> dict[str, float]:
         """Return the measures over all frames under their names in the JSON report."""
@@ -116,7 +128,7 @@ class Comparison:
         return asdict(mean_color_quality(self._color)) | self._depth.quality()
 
     def camera(self) -> TrajectoryError | None:
-        """Return the error of the camera's trajectory; None where the reference has no poses."""
+        """Return the error of the first sensor's trajectory; None where the reference has no poses."""
         if not self._camera:
             return None
         true, found = zip(*self._camera.values(), strict=True)

@@ -26,6 +26,8 @@ class Course:
     ----------
     times_ns
         Their times.
+    sensors
+        The sensors that took them.
     T_world_camera
         Their poses of the depth camera.
     visible
@@ -33,6 +35,7 @@ class Course:
     """
 
     times_ns: list[int] = field(default_factory=list)
+    sensors: list[int] = field(default_factory=list)
     T_world_camera: list[Pose] = field(default_factory=list)
     visible: list[frozenset[int]] = field(default_factory=list)
     _scripts: defaultdict[int, dict[int, Pose]] = field(default_factory=lambda: defaultdict(dict))
@@ -41,6 +44,7 @@ class Course:
         """Note one frame."""
         frame = len(self.times_ns)
         self.times_ns.append(state.timestamp_ns)
+        self.sensors.append(state.sensor)
         self.T_world_camera.append(state.T_world_camera)
         self.visible.append(visible)
         for number, pose in state.T_camera_object.items():
@@ -48,8 +52,9 @@ class Course:
                 self._scripts[number][frame] = state.T_world_camera @ pose
 
     def camera_travel(self) -> Travel | None:
-        """Return how far the camera went; None without frames."""
-        return travel(self.T_world_camera) if self.T_world_camera else None
+        """Return how far the camera of the first sensor went; None without frames of it."""
+        own = [pose for pose, sensor in zip(self.T_world_camera, self.sensors, strict=True) if not sensor]
+        return travel(own) if own else None
 
     def spans(self, number: int) -> tuple[Span, ...]:
         """Return the frames in which an object is visible."""

@@ -12,12 +12,12 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from threedvc.config import ExplorationConfig
-from threedvc.decoder import Decoder, FrameState, rig_of
+from threedvc.decoder import Decoder, FrameState
 from threedvc.errors import SequenceError, TruncatedStream
 from threedvc.exploration import Proposal, Target, propose, targets_of, thinned
 from threedvc.formats.api import errors_named
 from threedvc.formats.container import open_input
-from threedvc.pose import Pose, inverse
+from threedvc.pose import Pose, compose, inverse
 
 __all__ = ["Exploration", "ExploredObject", "explore"]
 
@@ -143,7 +143,7 @@ def explore(
             raise TruncatedStream(f"{reader.name}: ends before its STREAM packet; nothing can be explored")
         name = reader.name
     try:
-        targets = targets_of(decoder.models, rig_of(decoder.header), states, config)
+        targets = targets_of(decoder.models, decoder.rigs, states, config)
     except SequenceError as error:
         raise SequenceError(f"{name}: {error}") from None
     proposals, in_sight = propose(targets, config.best, config.threads)
@@ -154,7 +154,7 @@ def explore(
         candidates=sum(len(target.candidates) for target in targets),
         objects=[_explored(target, bits) for target, bits in zip(targets, in_sight, strict=True)],
         proposals=proposals,
-        T_world_last_camera=states[-1].T_world_camera,
+        T_world_last_camera=compose(states[-1].T_world_camera, decoder.rigs[states[-1].sensor].T_depth_base),
     )
 
 

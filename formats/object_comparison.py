@@ -70,6 +70,8 @@ class _Seen:
     """One frame: pixels by (number, label), or None without a mask, by number, and poses by label and by number."""
 
     index: int
+    sensor: int
+    number: int
     shared: Mapping[tuple[int, int], int] | None
     drawn: Mapping[int, int]
     T_world_camera: Pose | None
@@ -144,6 +146,8 @@ class ObjectComparison:
         self._frames.append(
             _Seen(
                 index=drawn.index,
+                sensor=drawn.sensor,
+                number=drawn.number,
                 shared=shared,
                 drawn={int(number): int(counts[number]) for number in np.flatnonzero(counts) if number},
                 T_world_camera=given.T_world_camera,
@@ -183,17 +187,22 @@ class ObjectComparison:
         return matched(shared, drawn)
 
     def motion(self) -> dict[int, TrajectoryError]:
-        """Return, by number, the error of the camera's trajectory as seen from the object, in frames that show it."""
+        """Return, by number, the error of the camera's trajectory as seen from the object, in frames that show it.
+
+        Of several sensors that one counts which sees the object most often.
+        """
         errors = {}
         for label, number in sorted(self.matches().items(), key=lambda item: item[1]):
-            frames = self._posed(label, number)
+            posed = self._posed(label, number)
+            most = Counter(frame.sensor for frame in posed).most_common(1)
+            frames = [frame for frame in posed if frame.sensor == most[0][0]]
             # Seen from the object, a stream's own choice of object frame is a choice of world, which
             # the alignment of trajectories removes.
             if frames:
                 errors[number] = trajectory_error(
                     [inverse(frame.true[label]) for frame in frames],
                     [inverse(frame.found[number]) for frame in frames],
-                    [frame.index for frame in frames],
+                    [frame.number for frame in frames],
                 )
         return errors
 
@@ -222,12 +231,11 @@ class ObjectComparison:
 
     def _moved(self, frames: Sequence[_Seen], label: int) -> list[_Seen]:
         """Return those of some frames in which an object stands elsewhere than in the first of them."""
-        first: Pose | None = None
+        first: dict[int, Pose] = {}
         moved = []
         for frame in frames:
             pose = frame.T_world_object(label) if self._camera_known else frame.true.get(label)
-            first = pose if first is None else first
-            if pose is not None and first is not None and _differ(first, pose):
+            if pose is not None and _differ(first.setdefault(frame.sensor, pose), pose):
                 moved.append(frame)
         return moved
 

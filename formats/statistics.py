@@ -17,11 +17,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias, cast
 
 from threedvc.camera import CameraRig
 from threedvc.decoder import Decoder, rig_of
-from threedvc.errors import FormatError, TruncatedStream
+from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.api import DecodedFrame, DecodedStream, errors_named, open_stream
 from threedvc.formats.comparison import Comparison, check_comparable, paired
 from threedvc.formats.container import StreamReader
@@ -33,13 +33,14 @@ from threedvc.formats.tally import PacketTotal, Tally
 from threedvc.formats.visibility import Lookout
 from threedvc.frame import NANOSECONDS, FrameSequence
 from threedvc.metrics import PaperAccounting
-from threedvc.packets import StreamHeader
+from threedvc.packets import SensorHeader, StreamHeader
 from threedvc.pose import Pose, quaternion
 from threedvc.trajectory import TrajectoryError, Travel
 
 __all__ = [
     "FrameStatistics",
     "ObjectStatistics",
+    "SensorStatistics",
     "StreamStatistics",
     "statistics",
 ]
@@ -51,6 +52,7 @@ NAMED = ("relocalised", "weak", "lost")
 """Statuses whose frames are named one by one."""
 
 StreamSource: TypeAlias = str | os.PathLike[str] | BinaryIO
+Reference: TypeAlias = str | os.PathLike[str] | FrameSequence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +104,27 @@ class ObjectStatistics:
         return asdict(self) | {"background": self.background, "visible_frames": self.visible_frames}
 
 
+@dataclass(frozen=True, kw_only=True)
+class SensorStatistics:
+    """One sensor of the stream.
+
+    Attributes
+    ----------
+    number, name
+        Which one, and the name of what it recorded.
+    frames, duration_s
+        Number of its frames, and that divided by its frame rate.
+    raw_bytes
+        Size of its frames as 8-bit colour (with its channels) and 16-bit depth.
+    """
+
+    number: int
+    name: str
+    frames: int
+    duration_s: float
+    raw_bytes: int
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameStatistics:
     """One frame: its share of the stream, what it shows, and its quality where there is a reference.
@@ -110,6 +133,8 @@ class FrameStatistics:
     ----------
     frame, timestamp_ns
         Number and time.
+    sensor
+        The sensor that took it.
     bytes
         Bytes sent for the frame; packets of several frames are divided evenly.
     T_world_camera
@@ -130,6 +155,7 @@ class FrameStatistics:
     visible_objects: int
     entropy_bits: float | None = None
     status: str | None = None
+    sensor: int = 0
     quality: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -144,7 +170,7 @@ class StreamStatistics:
     complete
         False when the stream ends too early; everything else then describes the part that is there.
     file_bytes, duration_s
-        Size of the file, and frames divided by the frame rate.
+        Size of the file, and frames divided by the frame rate; of several sensors that of the longest.
     raw_bytes
         Size of the frames as 8-bit colour (with its channels) and 16-bit depth.
     packets
@@ -166,6 +192,8 @@ class StreamStatistics:
         `threedvc.formats.object_comparison`; None where the reference has nothing to tell by.
     quality
         Measures over all frames; None without a reference.
+    sensors
+        All sensors, usually one.
     """
 
     name: str
@@ -183,6 +211,7 @@ class StreamStatistics:
     reference_objects: Sequence[ObjectQuality] | None = None
     spurious_objects: Sequence[SpuriousObject] | None = None
     quality: Mapping[str, float] | None = None
+    sensors: Sequence[SensorStatistics] = ()
 
     @property
     def frames(self) -> int:
@@ -227,6 +256,7 @@ class StreamStatistics:
             "raw_bytes": self.raw_bytes,
             "ratio": self.ratio,
             "packets": {name: asdict(total) for name, total in self.packets.items()},
+            "sensors": [asdict(sensor) for sensor in self.sensors],
             "object_count": self.object_count,
             "objects": [item.to_map() for item in self.objects],
             "bytes_per_frame": [item.bytes for item in self.per_frame],
@@ -281,7 +311,7 @@ def _finite(value: Any) -> Any:
 
 def statistics(
     source: StreamSource,
-    reference: str | os.PathLike[str] | FrameSequence | None = None,
+    reference: Reference | Sequence[Reference] | None = None,
     *,
     on_frame: Callable[[int], None] | None = None,
 ) -> StreamStatistics:
@@ -293,8 +323,8 @@ def statistics(
         A .3dvc file, ``-`` for standard input, or a binary stream; what is not a file is copied to
         a temporary one.
     reference
-        The frames that were encoded: a folder in any layout, or a sequence. Frames are paired in
-        order where both have the same number of them, else by their times.
+        The frames that were encoded: a folder in any layout, or a sequence; for a stream of several sensors a list of
+        these, one for each. Frames are paired in order where both have the same number of them, else by their times.
     on_frame
         Called with the number of each frame that has been compared.
 
@@ -304,14 +334,27 @@ def statistics(
         If the stream cannot be read. One that merely ends too early is reported as not complete.
     SequenceError
         If the reference cannot be read or does not have the frames of the stream.
+    ConfigError
+        If there are not as many references as sensors.
     """
-    sequence = open_sequence(reference) if isinstance(reference, str | os.PathLike) else reference
+    sequences = [open_sequence(each) if isinstance(each, str | os.PathLike) else each for each in _listed(reference)]
     with _file(source) as (file, name):
         report = _report(file, name)
-        if sequence is None or not report.frames:
+        if not sequences or not report.frames:
             return report
+        if len(sequences) != len(report.sensors):
+            raise ConfigError(
+                f"{name}: has {len(report.sensors)} sensors and {len(sequences)} references; give --reference for each "
+                "sensor, in their order"
+            )
         file.seek(0)
-        return _compared(report, open_stream(file, what=PICTURES), sequence, on_frame)
+        return _compared(report, open_stream(file, what=PICTURES), sequences, on_frame)
+
+
+def _listed(reference: Reference | Sequence[Reference] | None) -> Sequence[Reference]:
+    if isinstance(reference, list | tuple):
+        return reference
+    return [] if reference is None else [cast(Reference, reference)]
 
 
 @contextmanager
@@ -337,28 +380,30 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 def _report(file: BinaryIO, name: str) -> StreamStatistics:
     tally, decoder, course = Tally(), Decoder(), Course()
-    lookout: Lookout | None = None
+    lookouts: dict[int, Lookout] = {}
     packets = tally.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):
         for state in decoder.frames(packets):
-            if lookout is None:
-                assert decoder.header is not None
-                lookout = Lookout(rig_of(decoder.header))
-            course.add(state, lookout.visible(decoder.models, state.T_camera_object))
+            if state.sensor not in lookouts:
+                lookouts[state.sensor] = Lookout(decoder.rigs[state.sensor])
+            course.add(state, lookouts[state.sensor].visible(decoder.models, state.T_camera_object))
     if decoder.header is None:
         raise TruncatedStream(f"{name}: ends before its STREAM packet; nothing can be reported")
     file_bytes = file.seek(0, os.SEEK_END)
     objects, frames = _objects(tally, decoder, course), len(course.times_ns)
+    headers: list[StreamHeader | SensorHeader] = [decoder.header, *decoder.sensors]
+    sensors = [_sensor(number, header, course) for number, header in enumerate(headers)]
     return StreamStatistics(
         name=decoder.header.name,
         complete=decoder.complete,
         file_bytes=file_bytes,
-        duration_s=frames * decoder.header.period_num / decoder.header.period_den / NANOSECONDS,
-        raw_bytes=frames * _raw_frame_bytes(decoder.header),
+        duration_s=max(sensor.duration_s for sensor in sensors),
+        raw_bytes=sum(sensor.raw_bytes for sensor in sensors),
         packets=tally.packets,
         objects=objects,
         per_frame=_per_frame(course, decoder, tally.frame_bytes(frames, file_bytes)),
-        paper=_paper(objects, frames, rig_of(decoder.header)),
+        paper=_paper(objects, course, decoder.rigs),
+        sensors=sensors,
         travel=course.camera_travel(),
     )
 
@@ -385,20 +430,26 @@ def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStati
     return objects
 
 
-def _raw_frame_bytes(header: StreamHeader) -> int:
-    rig = rig_of(header)
-    channels = 1 if header.grey else 3
-    return rig.color.width * rig.color.height * channels + rig.depth.width * rig.depth.height * DEPTH_BYTES
+def _sensor(number: int, header: StreamHeader | SensorHeader, course: Course) -> SensorStatistics:
+    rig, channels, frames = rig_of(header), 1 if header.grey else 3, course.sensors.count(number)
+    raw_bytes = rig.color.width * rig.color.height * channels + rig.depth.width * rig.depth.height * DEPTH_BYTES
+    return SensorStatistics(
+        number=number,
+        name=header.name,
+        frames=frames,
+        duration_s=frames * header.period_num / header.period_den / NANOSECONDS,
+        raw_bytes=frames * raw_bytes,
+    )
 
 
-def _paper(objects: Sequence[ObjectStatistics], frames: int, rig: CameraRig) -> PaperAccounting:
+def _paper(objects: Sequence[ObjectStatistics], course: Course, rigs: Sequence[CameraRig]) -> PaperAccounting:
     # A single pose only says where an object stands.
     moving = [item for item in objects if item.poses > 1]
     return PaperAccounting(
         cells=sum(item.cells for item in moving),
         pose_frames=sum(item.poses for item in moving),
-        frames=frames,
-        pixels=rig.color.width * rig.color.height,
+        frames=len(course.sensors),
+        pixels=max(rig.color.width * rig.color.height for rig in rigs),
     )
 
 
@@ -416,6 +467,7 @@ def _per_frame(course: Course, decoder: Decoder, sizes: Sequence[int]) -> list[F
             visible_objects=counts[frame],
             entropy_bits=entropies.get(frame),
             status=status.get(frame),
+            sensor=course.sensors[frame],
         )
         for frame in frames
     ]
@@ -430,12 +482,15 @@ def _until_cut(stream: Iterable[DecodedFrame]) -> Iterator[DecodedFrame]:
 def _compared(
     report: StreamStatistics,
     stream: DecodedStream,
-    reference: FrameSequence,
+    references: Sequence[FrameSequence],
     on_frame: Callable[[int], None] | None,
 ) -> StreamStatistics:
-    check_comparable(stream.info, reference.info)
-    comparison = Comparison(depth_scale=reference.info.depth_scale)
-    for drawn, given in paired(_until_cut(stream), reference, report.frames):
+    for info, reference in zip(stream.infos, references, strict=True):
+        check_comparable(info, reference.info)
+    # In the coarsest units, in which every sensor's depth fits into 16 bits.
+    comparison = Comparison(depth_scale=min(reference.info.depth_scale for reference in references))
+    counts = [sensor.frames for sensor in report.sensors]
+    for drawn, given in paired(_until_cut(stream), references, counts):
         comparison.add(drawn, given)
         if on_frame is not None:
             on_frame(drawn.index)

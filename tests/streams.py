@@ -188,12 +188,14 @@ class FakeDecodedFrame:
     """Stands for a decoded frame."""
 
     index: int
+    number: int
     timestamp_ns: int
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     labels: NDArray[np.uint8]
     T_world_camera: Pose
     T_camera_object: Mapping[int, Pose]
+    sensor: int = 0
 
 
 class FakeStream:
@@ -203,9 +205,13 @@ class FakeStream:
 
     def __init__(self, source: Any, **choices: Any) -> None:
         self.choices = choices
-        self.info = INFO
+        self.infos = (INFO,)
         data = source if hasattr(source, "read") else io.BytesIO(Path(source).read_bytes())
         self._reader = StreamReader(data, str(source))
+
+    @property
+    def info(self) -> SequenceInfo:
+        return self.infos[0]
 
     def __iter__(self) -> Iterator[FakeDecodedFrame]:
         for packet in self._reader:
@@ -218,6 +224,7 @@ class FakeStream:
         assert frame.T_world_camera is not None
         return FakeDecodedFrame(
             index=index,
+            number=index,
             timestamp_ns=frame.timestamp_ns,
             color=frame.color,
             depth=frame.depth,

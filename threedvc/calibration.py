@@ -138,7 +138,7 @@ def _changed(rig: CameraRig, change: Doubles) -> CameraRig:
         distortion=(k1 + float(change[1]), k2, p1, p2, k3),
     )
     T = make_pose(rotation_from_vector(change[2:5]), change[5:8]) @ rig.T_color_depth
-    return CameraRig(color=color, depth=rig.depth, T_color_depth=T)
+    return replace(rig, color=color, T_color_depth=T)
 
 
 def _lumas(

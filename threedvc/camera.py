@@ -6,13 +6,13 @@ Camera axes are OpenCV's: x right, y down, z forward. The centre of the top-left
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import ConfigError
-from threedvc.pose import Pose, identity, is_rigid
+from threedvc.pose import Pose, compose, identity, inverse, is_rigid
 
 __all__ = ["Camera", "CameraRig"]
 
@@ -147,20 +147,25 @@ class CameraRig:
         The two cameras. Registered input has one camera in both places.
     T_color_depth
         ``p_color = T_color_depth @ p_depth``, (4, 4). Poses of a frame belong to the depth camera.
+    T_depth_base
+        ``p_depth = T_depth_base @ p_base``, (4, 4): how the sensor is mounted among several. Poses of a scene belong
+        to the base, which is the depth camera of the first sensor.
 
     Raises
     ------
     ConfigError
-        If the extrinsic is not a rigid transform.
+        If an extrinsic is not a rigid transform.
     """
 
     color: Camera
     depth: Camera
     T_color_depth: Pose
+    T_depth_base: Pose = field(default_factory=identity)
 
     def __post_init__(self) -> None:
-        if not is_rigid(self.T_color_depth):
-            raise ConfigError("T_color_depth is not a rigid transform; give a 4x4 matrix with an orthonormal rotation")
+        for name in ("T_color_depth", "T_depth_base"):
+            if not is_rigid(getattr(self, name)):
+                raise ConfigError(f"{name} is not a rigid transform; give a 4x4 matrix with an orthonormal rotation")
 
     @classmethod
     def registered_to(cls, camera: Camera) -> CameraRig:
@@ -171,6 +176,19 @@ class CameraRig:
     def registered(self) -> bool:
         """Whether one ray serves both the colour and the depth of a pixel."""
         return self.color == self.depth and np.array_equal(self.T_color_depth, np.eye(4))
+
+    @property
+    def mounted(self) -> bool:
+        """Whether the depth camera is elsewhere than the base."""
+        return not np.array_equal(self.T_depth_base, np.eye(4))
+
+    def at_sensor(self, T_base_object: Pose) -> Pose:
+        """Return the pose before the depth camera of what has a pose before the base."""
+        return compose(self.T_depth_base, T_base_object) if self.mounted else T_base_object
+
+    def at_base(self, T_camera_object: Pose) -> Pose:
+        """Return the pose before the base of what has a pose before the depth camera."""
+        return compose(inverse(self.T_depth_base), T_camera_object) if self.mounted else T_camera_object
 
     def resized(self, width: int, height: int) -> CameraRig:
         """Return the rig with both pictures brought to one size."""

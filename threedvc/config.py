@@ -235,6 +235,8 @@ class EncoderConfig:
         Measurements beyond are ignored, or None.
     motion, sensor
         See `Motion` and `Sensor`.
+    other_sensors
+        Those of the second sensor and further ones, where there are several; empty: all are as `sensor` says.
     focus
         Where errors of colours count more; all that a place lies in are multiplied.
     cell_factor
@@ -264,6 +266,7 @@ class EncoderConfig:
     color: ColorConfig = field(default_factory=ColorConfig)
     appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
+    other_sensors: tuple[Sensor, ...] = ()
     focus: tuple[Focus, ...] = ()
     cell_factor: float = 1.0
     bitrate_bps: float | None = None
@@ -291,6 +294,11 @@ class EncoderConfig:
             raise ConfigError(f"group of {self.group_frames} frames must have at least one frame")
         if self.threads < 1:
             raise ConfigError(f"number of threads {self.threads} must be at least 1")
+
+    def sensor_of(self, number: int) -> Sensor:
+        """Return what is said of the noise of one of several sensors."""
+        others = self.other_sensors
+        return self.sensor if not number or not others else others[min(number, len(others)) - 1]
 
 
 def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:

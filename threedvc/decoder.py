@@ -8,7 +8,8 @@ nothing.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,11 +40,14 @@ from threedvc.packets import (
     LightHeader,
     ModelHeader,
     ObjectHeader,
+    OrderHeader,
     Packet,
     PacketType,
     PoseHeader,
     ReliefHeader,
     RunHeader,
+    SensorHeader,
+    SensorRunHeader,
     ShiftHeader,
     StreamHeader,
     TextureHeader,
@@ -55,6 +59,7 @@ from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, identity, inverse, make_pose
 from threedvc.rendering import Backdrop, Light
 from threedvc.report import StreamReport, unpack_report
+from threedvc.turns import Turns, unpack_cycle
 from threedvc.wire import ByteReader
 
 __all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "nearest_multiple", "rig_of"]
@@ -74,6 +79,7 @@ IN_BATCHES = frozenset(
         PacketType.FILTER,
         PacketType.LIGHT,
         PacketType.CLOCK,
+        PacketType.ORDER,
     }
 )
 
@@ -86,8 +92,12 @@ class FrameState:
     ----------
     index, timestamp_ns
         Which frame.
+    sensor, number
+        The sensor that took it, and which of its own frames it is.
+    together
+        Whether it was taken at the moment of the frame before, by another sensor.
     T_world_camera
-        Pose of the depth camera.
+        Pose of the sensor's depth camera.
     T_camera_object
         Pose of every object that has appeared, by number; 0 is the background.
     T_shifted_camera
@@ -104,6 +114,9 @@ class FrameState:
 
     index: int
     timestamp_ns: int
+    sensor: int
+    number: int
+    together: bool
     T_world_camera: Pose
     T_camera_object: Mapping[int, Pose]
     T_shifted_camera: Pose
@@ -131,8 +144,8 @@ def models_digest(models: Mapping[int, DecodedModel]) -> bytes:
     return state.digest()[:DIGEST_BYTES]
 
 
-def rig_of(header: StreamHeader) -> CameraRig:
-    """Return the cameras of a stream.
+def rig_of(header: StreamHeader | SensorHeader) -> CameraRig:
+    """Return the cameras of a stream's first sensor, or of a further one.
 
     Raises
     ------
@@ -142,13 +155,20 @@ def rig_of(header: StreamHeader) -> CameraRig:
     try:
         color = _camera(header.color_camera)
         depth = _camera(header.depth_camera) if header.depth_camera else color
-        T = identity()
-        if header.T_color_depth:
-            rows = np.array(header.T_color_depth, dtype=np.float64).reshape(3, 4)
-            T = make_pose(rows[:, :3], rows[:, 3])
-        return CameraRig(color=color, depth=depth, T_color_depth=T)
+        mount = header.T_depth_base if isinstance(header, SensorHeader) else ()
+        return CameraRig(
+            color=color, depth=depth, T_color_depth=_transform(header.T_color_depth), T_depth_base=_transform(mount)
+        )
     except ConfigError as error:
-        raise CorruptStream(f"STREAM header: {error}") from None
+        raise CorruptStream(f"{header.packet_type.name} header: {error}") from None
+
+
+def _transform(rows: tuple[float, ...]) -> Pose:
+    """Return the transform of three rows, row by row; the identity if there are none."""
+    if not rows:
+        return identity()
+    matrix = np.array(rows, dtype=np.float64).reshape(3, 4)
+    return make_pose(matrix[:, :3], matrix[:, 3])
 
 
 def nearest_multiple(frame: int, period_num: int, period_den: int) -> int:
@@ -174,6 +194,57 @@ def _check_pose_count(members: Iterable[Packet]) -> None:
         raise LimitExceeded(f"a BATCH holds {poses} poses, shifts and gains, at most {MAX_COUNT} are accepted")
 
 
+class _Device:
+    """What the decoder has of one sensor.
+
+    Attributes
+    ----------
+    header, rig
+        Its description.
+    frames
+        How many frames it has taken so far.
+    shift, gain, correction_ns
+        Of the next frame that it takes.
+    """
+
+    def __init__(self, header: StreamHeader | SensorHeader, steps: tuple[float, float]) -> None:
+        self.header, self.rig = header, rig_of(header)
+        self.frames = 0
+        self.shift, self.shifts = identity(), PoseCoder(*steps)
+        self.gain, self.gains = NEUTRAL, GainCoder(header.grey)
+        self.correction_ns = 0
+
+    def next_time(self) -> int:
+        """Return the time of its next frame."""
+        header = self.header
+        nominal = header.start_ns + nearest_multiple(self.frames, header.period_num, header.period_den)
+        time, self.correction_ns = nominal + self.correction_ns, 0
+        return time
+
+
+class _Run:
+    """Frames of one BATCH that runs count: those of one sensor, or the first ones of all moments.
+
+    Parameters
+    ----------
+    before
+        How many such frames there were before the BATCH.
+    frames
+        Those in it.
+    """
+
+    def __init__(self, before: int, frames: Sequence[int]) -> None:
+        self._before, self._frames = before, frames
+
+    def of(self, header: RunHeader) -> tuple[int, Sequence[int]] | None:
+        """Return the number of the first frame of a header, and all its frames; None if they are not there."""
+        place = bisect_left(self._frames, header.frame)
+        frames = self._frames[place : place + header.count]
+        if len(frames) < header.count or frames[0] != header.frame:
+            return None
+        return self._before + place, frames
+
+
 class Decoder:
     """Applies packets; the same class checks the encoder's own output.
 
@@ -181,6 +252,8 @@ class Decoder:
     ----------
     header
         The STREAM header, once it came.
+    sensors
+        The SENSOR headers of further sensors.
     models
         Decoded models by object number, as of the frame last yielded.
     frame_count
@@ -191,6 +264,7 @@ class Decoder:
 
     def __init__(self) -> None:
         self.header: StreamHeader | None = None
+        self.sensors: list[SensorHeader] = []
         self.models: dict[int, DecodedModel] = {}
         self.frame_count = 0
         self.complete = False
@@ -199,15 +273,21 @@ class Decoder:
         self._coders: dict[int, PoseCoder] = {}
         self._due: dict[str, int] = {}
         self._scripts: dict[int, Pose] = {}
-        self._shift = identity()
-        self._shifts: PoseCoder | None = None
+        self._devices: list[_Device] = []
+        self._turns = Turns()
+        self._moments = 0
+        self._own_runs: list[_Run] = []
+        self._moment_run = _Run(0, [])
+        self._span = 0, 0
         self._lights: dict[int, NDArray[np.float64]] = {}
         self._backdrop: Backdrop | None = None
         self._filters: PictureFilter | None = None
         self._hung = False
-        self._gain = NEUTRAL
-        self._gains: GainCoder | None = None
-        self._correction = 0
+
+    @property
+    def rigs(self) -> list[CameraRig]:
+        """The cameras of every sensor, the first of which STREAM describes; empty before it came."""
+        return [device.rig for device in self._devices]
 
     @property
     def report(self) -> StreamReport:
@@ -229,6 +309,8 @@ class Decoder:
         for packet in packets:
             if packet.type == PacketType.STREAM:
                 self._begin(StreamHeader.from_map(packet.header))
+            elif packet.type == PacketType.SENSOR:
+                self._join(SensorHeader.from_map(packet.header))
             elif packet.type == PacketType.BATCH:
                 yield from self._batch(packet)
             elif packet.type == PacketType.END:
@@ -245,31 +327,82 @@ class Decoder:
             raise CorruptStream("the stream has two STREAM packets")
         check_supported(header)
         self.header = header
-        self._shifts = PoseCoder(header.translation_step_m, header.rotation_step_rad)
-        self._gains = GainCoder(header.grey)
+        self._devices = [_Device(header, self._steps)]
+
+    @property
+    def _steps(self) -> tuple[float, float]:
+        assert self.header is not None
+        return self.header.translation_step_m, self.header.rotation_step_rad
+
+    def _join(self, header: SensorHeader) -> None:
+        if self.header is None:
+            raise CorruptStream("a SENSOR comes before STREAM")
+        if len(self._devices) == self.header.sensors:
+            raise CorruptStream(f"a SENSOR comes after those of all {self.header.sensors} sensors")
+        self.sensors.append(header)
+        self._devices.append(_Device(header, self._steps))
+
+    def _check_sensors(self) -> None:
+        assert self.header is not None
+        if len(self._devices) < self.header.sensors:
+            raise CorruptStream(
+                f"the stream describes {len(self._devices)} of its {self.header.sensors} sensors before its first frame"
+            )
 
     def _batch(self, packet: Packet) -> Iterator[FrameState]:
         header = BatchHeader.from_map(packet.header)
         if self.header is None:
             raise CorruptStream(f"the BATCH of frame {header.frame} comes before STREAM")
+        self._check_sensors()
         if header.frame < self.frame_count:
             raise CorruptStream(f"the BATCH of frame {header.frame} comes after {self.frame_count} frames")
         yield from self._still_frames(header.frame)
         stop = header.frame + header.count
         members = unpack_batch(packet)
         _check_pose_count(members)
+        self._span = header.frame, stop
+        self._take_turns(members)
         todo: dict[int, list[Callable[[], None]]] = {}
         for member in members:
             for frame, action in self._actions(member):
                 if not header.frame <= frame < stop:
-                    raise CorruptStream(
-                        f"a packet of frame {frame} stands in the BATCH of frames {header.frame}..{stop - 1}"
-                    )
+                    raise self._elsewhere(frame)
                 todo.setdefault(frame, []).append(action)
         for frame in range(header.frame, stop):
             for action in todo.get(frame, ()):
                 action()
             yield self._state(frame)
+
+    def _elsewhere(self, frame: int) -> CorruptStream:
+        first, stop = self._span
+        return CorruptStream(f"a packet of frame {frame} stands in the BATCH of frames {first}..{stop - 1}")
+
+    def _take_turns(self, members: Iterable[Packet]) -> None:
+        """Find out which sensor takes each frame of a BATCH."""
+        first, stop = self._span
+        orders = {}
+        for member in members:
+            if member.type == PacketType.ORDER:
+                frame = OrderHeader.from_map(member.header).frame
+                if not first <= frame < stop:
+                    raise self._elsewhere(frame)
+                orders[frame] = unpack_cycle(member.payload, len(self._devices))
+        if len(self._devices) == 1 and not orders:
+            self._own_runs = [_Run(first, range(first, stop))]
+            self._moment_run = self._own_runs[0]
+            return
+        own: list[list[int]] = [[] for _ in self._devices]
+        moments = []
+        turns = self._turns.copy()
+        for frame in range(first, stop):
+            if frame in orders:
+                turns.begin(frame, orders[frame])
+            turn = turns.at(frame)
+            own[turn.sensor].append(frame)
+            if not turn.together or not frame:
+                moments.append(frame)
+        self._own_runs = [_Run(device.frames, frames) for device, frames in zip(self._devices, own, strict=True)]
+        self._moment_run = _Run(self._moments, moments)
 
     def _actions(self, packet: Packet) -> Iterator[tuple[int, Callable[[], None]]]:
         """Yield what a packet does, and before which frame; pose payloads are decoded at once."""
@@ -280,8 +413,8 @@ class Decoder:
             yield model.frame, lambda: self._update(model.object_id, packet.payload)
         elif packet.type == PacketType.POSE:
             header = PoseHeader.from_map(packet.header)
-            for step, pose in enumerate(self._poses(header, packet.payload)):
-                yield header.frame + step, lambda pose=pose: self._move(header.object_id, pose)  # type: ignore[misc]
+            for frame, pose in self._poses(header, packet.payload):
+                yield frame, lambda pose=pose: self._move(header.object_id, pose)  # type: ignore[misc]
         elif packet.type == PacketType.RELIEF:
             relief = ReliefHeader.from_map(packet.header)
             yield relief.frame, lambda: self._mould(relief.object_id, packet.payload)
@@ -290,8 +423,9 @@ class Decoder:
             yield texture.frame, lambda: self._paint(texture.object_id, packet.payload)
         elif packet.type == PacketType.SHIFT:
             shift = ShiftHeader.from_map(packet.header)
-            for step, pose in enumerate(self._shifted(shift, packet.payload)):
-                yield shift.frame + step, lambda pose=pose: self._set_shift(pose)  # type: ignore[misc]
+            device = self._device("SHIFT", shift)
+            for frame, pose in self._decoded_poses(device.shifts, "SHIFT", shift, packet.payload, shift.sensor):
+                yield frame, lambda pose=pose: setattr(device, "shift", pose)  # type: ignore[misc]
         elif packet.type == PacketType.GAIN:
             yield from self._expose(GainHeader.from_map(packet.header), packet.payload)
         elif packet.type == PacketType.BACKDROP:
@@ -311,6 +445,9 @@ class Decoder:
             yield light.frame, lambda: self._shine(light.object_id, factors)
         elif packet.type == PacketType.CLOCK:
             yield from self._clock(ClockHeader.from_map(packet.header), packet.payload)
+        elif packet.type == PacketType.ORDER:
+            frame, cycle = OrderHeader.from_map(packet.header).frame, unpack_cycle(packet.payload, len(self._devices))
+            yield frame, lambda: self._turns.begin(frame, cycle)
         elif packet.type == PacketType.META:
             self._tell(packet)
 
@@ -324,11 +461,10 @@ class Decoder:
     def _appear(self, header: ObjectHeader) -> None:
         if header.object_id in self.models:
             raise CorruptStream(f"object {header.object_id} is introduced twice")
-        assert self.header is not None
         self.models[header.object_id] = DecodedModel(
             header.voxel_size_m, 1 << header.texture_bits, guessed=header.guessed, relief_bits=header.relief_bits
         )
-        self._coders[header.object_id] = PoseCoder(self.header.translation_step_m, self.header.rotation_step_rad)
+        self._coders[header.object_id] = PoseCoder(*self._steps)
         self._scripts[header.object_id] = identity()
 
     def _update(self, number: int, payload: bytes) -> None:
@@ -345,8 +481,7 @@ class Decoder:
 
     def _spread(self, payload: bytes) -> None:
         """Make cells of a depth picture, as seen from where the packets before it have placed the camera."""
-        assert self.header is not None
-        camera = rig_of(self.header).depth
+        camera = self.rigs[0].depth
         spread(decode_depths(payload, camera.width, camera.height), self._known(0), camera, self._scripts[0])
 
     def _paint(self, number: int, payload: bytes) -> None:
@@ -358,43 +493,53 @@ class Decoder:
             raise CorruptStream(f"a TEXTURE of object {number} comes when all its cells have one")
         model.texture.paint(texels, decode_texture(payload, model, texels))
 
-    def _run(self, name: str, header: RunHeader) -> bool:
-        """Note that frames of a kind were conveyed; tell whether they follow the last ones directly."""
-        due = self._due.get(name, 0)
-        if header.frame < due:
+    def _device(self, name: str, header: SensorRunHeader) -> _Device:
+        if header.sensor >= len(self._devices):
+            raise CorruptStream(f"a {name} names sensor {header.sensor}, but the stream has {len(self._devices)}")
+        return self._devices[header.sensor]
+
+    def _run(self, name: str, header: RunHeader, sensor: int | None = None) -> tuple[bool, Sequence[int]]:
+        """Note that frames of a sensor, or moments, were conveyed.
+
+        Returns
+        -------
+        bool, Sequence
+            Whether they follow the last ones of their kind directly, and their frames.
+        """
+        run = (self._moment_run if sensor is None else self._own_runs[sensor]).of(header)
+        key = name if not sensor else f"{name} of sensor {sensor}"
+        due = self._due.get(key, 0)
+        number = header.frame if run is None else run[0]
+        if number < due:
             raise CorruptStream(f"a {name} from frame {header.frame} on follows one up to frame {due - 1}")
-        self._due[name] = header.frame + header.count
-        return header.frame == due
+        if run is None:
+            first, stop = self._span
+            raise self._elsewhere(stop if first <= header.frame < stop else header.frame)
+        self._due[key] = number + header.count
+        return number == due, run[1]
 
     def _expose(self, header: GainHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
-        assert self._gains is not None
-        self._run("GAIN", header)
-        for step, gain in enumerate(self._gains.decode(payload, header.count)):
-            yield header.frame + step, lambda gain=gain: self._set_gain(gain)  # type: ignore[misc]
+        device = self._device("GAIN", header)
+        _, frames = self._run("GAIN", header, header.sensor)
+        for frame, gain in zip(frames, device.gains.decode(payload, header.count), strict=True):
+            yield frame, lambda gain=gain: setattr(device, "gain", gain)  # type: ignore[misc]
 
-    def _shifted(self, header: ShiftHeader, payload: bytes) -> list[Pose]:
-        assert self._shifts is not None
-        return self._decoded_poses(self._shifts, "SHIFT", header, payload)
-
-    def _poses(self, header: PoseHeader, payload: bytes) -> list[Pose]:
+    def _poses(self, header: PoseHeader, payload: bytes) -> Iterable[tuple[int, Pose]]:
         self._known(header.object_id)
         name = f"POSE of object {header.object_id}"
         return self._decoded_poses(self._coders[header.object_id], name, header, payload)
 
-    def _decoded_poses(self, coder: PoseCoder, name: str, header: RunHeader, payload: bytes) -> list[Pose]:
-        """Decode the poses of a run of frames; between runs what they place stands still."""
-        if not self._run(name, header):
+    def _decoded_poses(
+        self, coder: PoseCoder, name: str, header: RunHeader, payload: bytes, sensor: int | None = None
+    ) -> Iterable[tuple[int, Pose]]:
+        """Decode the poses of a run, with their frames; between runs what they place stands still."""
+        follows, frames = self._run(name, header, sensor)
+        if not follows:
             coder.hold()
-        return list(coder.decode(payload, header.count))
-
-    def _set_shift(self, pose: Pose) -> None:
-        self._shift = pose
+        return zip(frames, coder.decode(payload, header.count), strict=True)
 
     def _set_filters(self, filters: PictureFilter) -> None:
         self._filters = filters
-
-    def _set_gain(self, gain: NDArray[np.int64]) -> None:
-        self._gain = gain
 
     def _move(self, number: int, pose: Pose) -> None:
         self._scripts[number] = pose
@@ -405,16 +550,14 @@ class Decoder:
         return self.models[number]
 
     def _clock(self, header: ClockHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
-        self._run("CLOCK", header)
+        device = self._device("CLOCK", header)
+        _, frames = self._run("CLOCK", header, header.sensor)
         reader = ByteReader(payload)
-        for frame in range(header.frame, header.frame + header.count):
+        for frame in frames:
             correction = reader.signed_varint()
-            yield frame, lambda correction=correction: self._correct(correction)  # type: ignore[misc]
+            yield frame, lambda correction=correction: setattr(device, "correction_ns", correction)  # type: ignore[misc]
         if reader.remaining:
             raise CorruptStream(f"{reader.remaining} bytes follow the corrections of CLOCK")
-
-    def _correct(self, nanoseconds: int) -> None:
-        self._correction = nanoseconds
 
     def _still_frames(self, stop: int) -> Iterator[FrameState]:
         if stop - self.frame_count > MAX_COUNT:
@@ -431,31 +574,35 @@ class Decoder:
     def _hang(self, payload: bytes) -> None:
         """Decode a backdrop; it is drawn from where the camera stands once all packets of the frame are applied."""
         assert self.header is not None
-        camera = rig_of(self.header).color
+        camera = self.rigs[0].color
         picture = decode_picture(payload, camera.width, camera.height, self.header.grey)
         self._backdrop = Backdrop(picture=picture, camera=camera, T_camera_world=identity())
         self._hung = False
 
     def _state(self, frame: int) -> FrameState:
-        assert self.header is not None
-        nominal = self.header.start_ns + nearest_multiple(frame, self.header.period_num, self.header.period_den)
-        timestamp, self._correction = nominal + self._correction, 0
+        turn = self._turns.at(frame)
+        device, T_base_world = self._devices[turn.sensor], self._scripts.get(0, identity())
+        timestamp, number, together = device.next_time(), device.frames, turn.together and frame > 0
+        device.frames += 1
+        self._moments += not together
         self.frame_count = frame + 1
-        poses = camera_poses(self._scripts)
         if self._backdrop is not None and not self._hung:
-            assert self.header is not None
-            T_color_camera = compose(rig_of(self.header).T_color_depth, self._shift)
-            self._backdrop = replace(
-                self._backdrop, T_camera_world=compose(T_color_camera, self._scripts.get(0, identity()))
-            )
+            first = self._devices[0]
+            T_color_camera = compose(first.rig.T_color_depth, first.shift)
+            self._backdrop = replace(self._backdrop, T_camera_world=compose(T_color_camera, T_base_world))
             self._hung = True
         return FrameState(
             index=frame,
             timestamp_ns=timestamp,
-            T_world_camera=inverse(self._scripts.get(0, identity())),
-            T_camera_object=poses,
-            T_shifted_camera=self._shift,
-            gain=self._gain,
+            sensor=turn.sensor,
+            number=number,
+            together=together,
+            T_world_camera=inverse(device.rig.at_sensor(T_base_world)),
+            T_camera_object={
+                number: device.rig.at_sensor(pose) for number, pose in camera_poses(self._scripts).items()
+            },
+            T_shifted_camera=device.shift,
+            gain=device.gain,
             backdrop=self._backdrop,
             lights={number: self._light(number) for number in self._lights},
             filters=self._filters,
@@ -469,6 +616,7 @@ class Decoder:
     def _end(self, header: EndHeader) -> Iterator[FrameState]:
         if self.header is None:
             raise CorruptStream("END comes before STREAM")
+        self._check_sensors()
         if header.frames < self.frame_count:
             raise CorruptStream(f"END tells of {header.frames} frames, the stream conveyed {self.frame_count}")
         yield from self._still_frames(header.frames)

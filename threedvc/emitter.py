@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
 from threedvc.decoder import models_digest, nearest_multiple
 from threedvc.finishing import Finish
 from threedvc.focus import finer, focused
-from threedvc.frame import NANOSECONDS, SequenceInfo
+from threedvc.frame import NANOSECONDS
 from threedvc.lighting import light_at
 from threedvc.limits import MAX_COUNT
 from threedvc.model_update import ModelUpdate
@@ -45,9 +45,11 @@ from threedvc.packets import (
     LightHeader,
     ModelHeader,
     ObjectHeader,
+    OrderHeader,
     Packet,
     PoseHeader,
     ReliefHeader,
+    SensorHeader,
     ShiftHeader,
     StreamHeader,
     TextureHeader,
@@ -62,6 +64,7 @@ from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
 from threedvc.selection import best_part
 from threedvc.trials import color_settings, one_shot
+from threedvc.turns import Turn, Turns, pack_cycle, shortest_cycle
 from threedvc.wire import pack_signed_varint
 
 __all__ = ["Emitter"]
@@ -92,8 +95,7 @@ class PoseSteps(NamedTuple):
 
 def pose_steps(scene: Scene, config: PoseConfig) -> PoseSteps:
     """Return the steps asked for, or about a third of a pixel: rounding moves what is seen by half of that."""
-    rig = scene.info.rig
-    turn = STEP_PIXELS / max(rig.color.fx, rig.depth.fx)
+    turn = STEP_PIXELS / max(max(rig.color.fx, rig.depth.fx) for rig in scene.info.rigs)
     return PoseSteps(
         config.translation_step_m or min(max(turn * scene.distance_m, LEAST_STEP_M), GREATEST_STEP_M),
         config.rotation_step_rad or turn,
@@ -148,17 +150,19 @@ class Emitter:
     ) -> None:
         self._scene, self._config, self._info = scene, config, scene.info
         self._finished, self._filters = finished, filters
-        self._gains = GainCoder(scene.info.grey)
+        sensors = scene.info.each_sensor
+        self._gains = [GainCoder(sensor.grey) for sensor in sensors]
         self._guessed: dict[int, SceneObject] = {}
         if finished is not None and finished.guess is not None:
             number, voxel_size_m = finished.guess
             self._guessed[number] = SceneObject(number, voxel_size_m, None)
             self._guessed[number].born = int(finished.surfaces[number].first_seen.min())
         self._steps = pose_steps(scene, config.pose)
-        self._shifts = PoseCoder(*self._steps)
+        self._shifts = [PoseCoder(*self._steps) for _ in sensors]
+        self._turns = Turns()
         self._sent: dict[int, _Sent] = {}
         self._color = color_settings(config.color, scene.info.grey)
-        self._clock = _clock(scene.info)
+        self._clocks = [_clock(sensor.fps) for sensor in sensors]
         self._batched = 0
         self._untold: list[FrameReport] = []
         self._rest = min(round(MAX_LIVE_REST_S * scene.info.fps), MAX_REST) if config.causal else MAX_REST
@@ -166,7 +170,7 @@ class Emitter:
         self._bucket = None
         if config.causal and config.bitrate_bps is not None:
             self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
-            self._bucket.take(stream_bytes([self.stream()]))
+            self._bucket.take(stream_bytes(self.head()))
         self._backdrop = self._worthwhile_backdrop(picture_step or config.color.luma_step)
         self._depths: DepthChoice | None = None
         if self._backdrop is not None and finished is not None:
@@ -177,25 +181,43 @@ class Emitter:
         """Digest of the decoded models so far."""
         return models_digest({number: sent.model for number, sent in self._sent.items()})
 
-    def stream(self) -> Packet:
-        """Return the STREAM packet."""
-        info, rig = self._info, self._info.rig
-        return StreamHeader(
-            color_camera=_camera_record(rig.color),
-            depth_camera=() if rig.depth == rig.color else _camera_record(rig.depth),
-            T_color_depth=()
-            if np.array_equal(rig.T_color_depth, np.eye(4))
-            else tuple(rig.T_color_depth[:3].ravel().tolist()),
-            depth_scale=info.depth_scale,
-            start_ns=self._scene.timestamps[0],
-            period_num=self._clock[0],
-            period_den=self._clock[1],
+    def head(self) -> list[Packet]:
+        """Return the STREAM packet, and SENSOR packets for further sensors."""
+        count = len(self._info.each_sensor)
+        stream = StreamHeader(
+            **self._described(0),
             translation_step_m=self._steps.translation_m,
             rotation_step_rad=self._steps.rotation_rad,
-            grey=info.grey,
-            given_world=info.has_camera_poses,
-            name=info.name,
-        ).packet()
+            given_world=self._info.has_camera_poses,
+            sensors=count,
+        )
+        return [stream.packet(), *(self._sensor_header(number).packet() for number in range(1, count))]
+
+    def _sensor_header(self, number: int) -> SensorHeader:
+        mount = _transform_record(self._info.rigs[number].T_depth_base)
+        return SensorHeader(**self._described(number), T_depth_base=mount)
+
+    def _described(self, number: int) -> dict[str, Any]:
+        """Return what STREAM and SENSOR say of a sensor."""
+        sensor = self._info.each_sensor[number]
+        rig, (period_num, period_den) = sensor.rig, self._clocks[number]
+        return {
+            "color_camera": _camera_record(rig.color),
+            "depth_camera": () if rig.depth == rig.color else _camera_record(rig.depth),
+            "T_color_depth": _transform_record(rig.T_color_depth),
+            "depth_scale": sensor.depth_scale,
+            "start_ns": self._start(number),
+            "period_num": period_num,
+            "period_den": period_den,
+            "grey": sensor.grey,
+            "name": sensor.name,
+        }
+
+    def _start(self, number: int) -> int:
+        """Return the time of a sensor's first frame; that of the first frame of all where it has none so far."""
+        scene = self._scene
+        times = (time for time, sensor in zip(scene.timestamps, scene.sensors, strict=True) if sensor == number)
+        return next(times, scene.timestamps[0])
 
     def group(self, first: int, stop: int, reports: Sequence[FrameReport], *, last: bool) -> Packet | None:
         """Return the BATCH of frames ``first..stop``, or None if nothing changes in them and none is due.
@@ -211,6 +233,7 @@ class Emitter:
         """
         entries = [entry for number in self._numbers() if (entry := self._enter(number, first, stop)) is not None]
         around = [
+            *self._order_packets(first, stop),
             *self._clock_packets(first, stop),
             *self._shift_packets(first, stop),
             *self._gain_packets(first, stop),
@@ -423,38 +446,61 @@ class Emitter:
         """Yield the shifts of a group, unless there are none at all."""
         if self._finished is None or all(np.array_equal(shift, identity()) for shift in self._finished.shifts):
             return
-        payload = self._shifts.encode(self._finished.shifts[first:stop])
-        yield ShiftHeader(frame=first, count=stop - first).packet(payload)
+        for sensor, frames in self._own_frames(first, stop):
+            payload = self._shifts[sensor].encode([self._finished.shifts[frame] for frame in frames])
+            yield ShiftHeader(frame=frames[0], count=len(frames), sensor=sensor).packet(payload)
 
     def _gain_packets(self, first: int, stop: int) -> Iterator[Packet]:
         """Yield the gains from the first frame of a group in which they change to the last."""
-        gains = np.stack(self._scene.gains) if self._finished is None else self._finished.gains
-        gains = gains[first:stop]
-        before = np.concatenate([self._gains.last[None], gains[:-1]])
-        changes = np.flatnonzero((gains != before).any(axis=(1, 2)))
-        if len(changes):
-            start, end = int(changes[0]), int(changes[-1]) + 1
-            payload = self._gains.encode(gains[start:end])
-            yield GainHeader(frame=first + start, count=end - start).packet(payload)
+        all_gains = np.stack(self._scene.gains) if self._finished is None else self._finished.gains
+        for sensor, frames in self._own_frames(first, stop):
+            gains, coder = all_gains[frames], self._gains[sensor]
+            before = np.concatenate([coder.last[None], gains[:-1]])
+            changes = np.flatnonzero((gains != before).any(axis=(1, 2)))
+            if len(changes):
+                start, end = int(changes[0]), int(changes[-1]) + 1
+                payload = coder.encode(gains[start:end])
+                yield GainHeader(frame=frames[start], count=end - start, sensor=sensor).packet(payload)
+
+    def _own_frames(self, first: int, stop: int) -> Iterator[tuple[int, list[int]]]:
+        """Yield the sensors that took frames of a group, and these frames."""
+        for sensor in range(len(self._info.rigs)):
+            frames = [frame for frame in range(first, stop) if self._scene.sensors[frame] == sensor]
+            if frames:
+                yield sensor, frames
+
+    def _moments(self, first: int, stop: int) -> list[int]:
+        """Return the frames of a group that begin a moment."""
+        return [frame for frame in range(first, stop) if not self._scene.together[frame]]
+
+    def _order_packets(self, first: int, stop: int) -> Iterator[Packet]:
+        """Yield the turns of sensors in a group, unless they go on as before."""
+        scene = self._scene
+        turns = [Turn(scene.sensors[frame], scene.together[frame]) for frame in range(first, stop)]
+        if any(self._turns.at(frame) != turn for frame, turn in enumerate(turns, first)):
+            cycle = shortest_cycle(turns)
+            self._turns.begin(first, cycle)
+            yield OrderHeader(frame=first).packet(pack_cycle(cycle))
 
     def _poses(self, sent: _Sent, first: int, stop: int) -> Iterator[Packet]:
         """Yield a packet for every run of frames in which the object moves."""
-        script = self._script(sent.item, first, stop)
+        frames, before = self._moments(first, stop), first - sum(self._scene.together[:first])
+        script = self._script(sent.item, frames)
         for start, end in _runs(self._moving(sent, script)):
-            if sent.next_coded != first + start:
+            if sent.next_coded != before + start:
                 sent.coder.hold()
             payload = sent.coder.encode(script[start:end])
-            sent.given, sent.next_coded = script[end - 1], first + end
-            yield PoseHeader(object_id=sent.item.number, frame=first + start, count=end - start).packet(payload)
+            sent.given, sent.next_coded = script[end - 1], before + end
+            yield PoseHeader(object_id=sent.item.number, frame=frames[start], count=end - start).packet(payload)
 
-    def _script(self, item: SceneObject, first: int, stop: int) -> list[Pose]:
-        """Return the poses that the stream carries: the background's before the camera, others' in the background."""
-        poses = item.poses[first:stop]
+    def _script(self, item: SceneObject, frames: Sequence[int]) -> list[Pose]:
+        """Return the poses that the stream carries: the background's before the base, others' in the background."""
+        if item.number in self._guessed:
+            return [identity()] * len(frames)
+        poses = [item.poses[frame] for frame in frames]
         if not item.number:
             return poses
-        world = self._scene.objects[0].poses[first:stop]
-        if item.number in self._guessed:
-            return [identity()] * len(world)
+        world = [self._scene.objects[0].poses[frame] for frame in frames]
         return [compose(inverse(T_camera_world), pose) for T_camera_world, pose in zip(world, poses, strict=True)]
 
     def _moving(self, sent: _Sent, script: Sequence[Pose]) -> list[bool]:
@@ -473,11 +519,14 @@ class Emitter:
         return moving
 
     def _clock_packets(self, first: int, stop: int) -> Iterator[Packet]:
-        start = self._scene.timestamps[0]
-        nominal = [start + nearest_multiple(frame, *self._clock) for frame in range(first, stop)]
-        off = [stamp - due for stamp, due in zip(self._scene.timestamps[first:stop], nominal, strict=True)]
-        if any(off):
-            yield ClockHeader(frame=first, count=stop - first).packet(b"".join(map(pack_signed_varint, off)))
+        for sensor, frames in self._own_frames(first, stop):
+            start, clock = self._start(sensor), self._clocks[sensor]
+            taken = self._scene.sensors[:first].count(sensor)
+            nominal = [start + nearest_multiple(number, *clock) for number in range(taken, taken + len(frames))]
+            off = [self._scene.timestamps[frame] - due for frame, due in zip(frames, nominal, strict=True)]
+            if any(off):
+                payload = b"".join(map(pack_signed_varint, off))
+                yield ClockHeader(frame=frames[0], count=len(frames), sensor=sensor).packet(payload)
 
 
 def _packed_bytes(packets: Sequence[Packet]) -> int:
@@ -502,7 +551,11 @@ def _camera_record(camera: Camera) -> tuple[float, ...]:
     return (camera.width, camera.height, *camera.parameters().tolist())
 
 
-def _clock(info: SequenceInfo) -> tuple[int, int]:
+def _transform_record(T: Pose) -> tuple[float, ...]:
+    return () if np.array_equal(T, np.eye(4)) else tuple(T[:3].ravel().tolist())
+
+
+def _clock(fps: float) -> tuple[int, int]:
     """Return the frame period in nanoseconds as a fraction."""
-    period = NANOSECONDS / Fraction(info.fps).limit_denominator(100_000)
+    period = NANOSECONDS / Fraction(fps).limit_denominator(100_000)
     return period.numerator, period.denominator

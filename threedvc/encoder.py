@@ -22,7 +22,7 @@ from threedvc.emitter import Emitter
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
-from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence
+from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence, moments, spread_step
 from threedvc.loop_closure import closed_loops
 from threedvc.motion import Located, joined_parts
 from threedvc.packets import Packet, PacketType
@@ -39,7 +39,7 @@ from threedvc.rate_control import (
     stream_bytes,
     surface_room,
 )
-from threedvc.refinement import calibrated_rig, depth_misfit, refined_script
+from threedvc.refinement import calibrated_info, depth_misfit, refined_script
 from threedvc.registration import RegistrationConfig
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
@@ -184,7 +184,7 @@ class Encoder:
         filters: PictureFilter | None = None,
     ) -> list[Packet]:
         emitter = self._emitter(finished, config, picture_step, filters)
-        return [emitter.stream(), *self._batches(emitter, 0, last=True), emitter.end()]
+        return [*emitter.head(), *self._batches(emitter, 0, last=True), emitter.end()]
 
     @property
     def _target_bytes(self) -> float | None:
@@ -195,24 +195,24 @@ class Encoder:
         """Send each group when the first frame after it comes, so that the last group is known to be it."""
         emitter: Emitter | None = None
         sent = 0
-        for frame in frames:
-            if len(self.reports) - sent == self._group:
+        for moment in moments(frames, self.info):
+            if len(self.reports) - sent >= self._group:
                 if emitter is None:
                     emitter = self._emitter()
-                    yield emitter.stream()
+                    yield from emitter.head()
                 yield from self._batches(emitter, sent, last=False)
                 sent = len(self.reports)
-            self._take(frame, on_frame)
+            self._take(moment, on_frame)
         if emitter is None:
             emitter = self._emitter()
-            yield emitter.stream()
+            yield from emitter.head()
         yield from self._batches(emitter, sent, last=True)
         yield emitter.end()
 
     def _fuse_all(self, frames: Iterable[Frame], on_frame: OnFrame | None) -> None:
         self.reports = []
-        for frame in frames:
-            self._take(frame, on_frame)
+        for moment in moments(frames, self.info):
+            self._take(moment, on_frame)
 
     def _finish(self, frames: FrameSequence, on_frame: OnFrame | None) -> Finish | None:
         """Choose cells, calibrate, register again, fuse anew, and fit to the pictures that the decoder draws."""
@@ -238,22 +238,22 @@ class Encoder:
             self._fuse_again(frames, on_frame, script)
 
     def _calibrate(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
-        """Calibrate the colour camera, and find all poses once more with what is then known.
+        """Calibrate the colour cameras, and find all poses once more with what is then known.
 
         Where the input's own calibration turns out to be right, luma counts fully, and what was tracked is tracked
         anew. A new one is not quite exact: the depth leads on.
         """
         tracked = any(item.tracker is not None for item in self.scene.objects.values())
-        rig = calibrated_rig(self.scene, frames)
-        if rig is not None:
+        info = calibrated_info(self.scene, frames)
+        if info is not None:
             known = {number: item.found for number, item in self.scene.objects.items()}
-            self.scene = Scene(replace(self.info, rig=rig), self.config, known, self.scene.division)
+            self.scene = Scene(info, self.config, known, self.scene.division)
             self._fuse_all(frames, on_frame)
         elif tracked:
             self.scene = Scene(self.info, self.config, None, self.scene.division)
             self._fuse_all(frames, on_frame)
             self._join_parts(frames, on_frame)
-        script = refined_script(self.scene, frames, TO_DEPTH if tracked and rig is not None else None)
+        script = refined_script(self.scene, frames, TO_DEPTH if tracked and info is not None else None)
         self._fuse_again(frames, on_frame, script)
 
     def _close_loops(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
@@ -289,8 +289,9 @@ class Encoder:
         if misfit > (1 - WORTHWHILE_SHIFTS) * first:
             self.scene, self.reports = together, reports
             return None
-        poses = zip(together.objects[0].poses, self.scene.objects[0].poses, strict=True)
-        shifts = [compose(both, inverse(depth)) for both, depth in poses]
+        poses = zip(together.objects[0].poses, self.scene.objects[0].poses, self.scene.sensors, strict=True)
+        there = [rig.at_sensor for rig in self.info.rigs]
+        shifts = [compose(there[sensor](both), inverse(there[sensor](depth))) for both, depth, sensor in poses]
         return align_pictures(self.scene, frames, shifts, rounds + MORE_ROUNDS)
 
     @property
@@ -316,7 +317,7 @@ class Encoder:
             return
 
         least = LEAST_CELL_FACTOR if shifts is None else LEAST_SHIFTED_FACTOR
-        step = -(-len(frames) // TRIAL_FRAMES)
+        step = spread_step(len(frames), TRIAL_FRAMES, self.info)
         some = ThinnedSequence(frames, step)
         script = {number: item.found[::step] for number, item in self.scene.objects.items()}
 
@@ -356,18 +357,19 @@ class Encoder:
         self.scene = Scene(self.scene.info, self.config, script, self.scene.division)
         self._fuse_all(frames, on_frame)
 
-    def _take(self, frame: Frame, on_frame: OnFrame | None) -> None:
-        status = self.scene.add(frame)
-        report = FrameReport(
-            index=frame.index,
-            timestamp_ns=frame.timestamp_ns,
-            status=status,
-            entropy_bits=self.scene.entropy_bits,
-            seconds=time.perf_counter() - self._began,
-        )
-        self.reports.append(report)
-        if on_frame is not None:
-            on_frame(report)
+    def _take(self, moment: Sequence[Frame], on_frame: OnFrame | None) -> None:
+        status = self.scene.add(*moment)
+        for frame in moment:
+            report = FrameReport(
+                index=frame.index,
+                timestamp_ns=frame.timestamp_ns,
+                status=status,
+                entropy_bits=self.scene.entropy_bits,
+                seconds=time.perf_counter() - self._began,
+            )
+            self.reports.append(report)
+            if on_frame is not None:
+                on_frame(report)
 
     def _emitter(
         self,

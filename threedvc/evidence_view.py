@@ -106,6 +106,11 @@ class FrameViews:
         self._full, self._thinned = full, thinned
         self._lumas: dict[int, NDArray[np.float32]] = {}
 
+    @property
+    def rig(self) -> CameraRig:
+        """The cameras of the frame."""
+        return self._full.rig
+
     def form(self, mask: NDArray[np.bool_]) -> Thinned:
         """Return the form that suits an object seen at `mask` (h, w)."""
         return self._thinned if np.count_nonzero(mask) > SMALL_OBJECT_PIXELS else self._full

@@ -164,7 +164,10 @@ def thinned(states: Iterable[FrameState], most: int = MOST_FRAMES) -> list[Frame
 
 
 def targets_of(
-    models: Mapping[int, DecodedModel], rig: CameraRig, states: Sequence[FrameState], config: ExplorationConfig
+    models: Mapping[int, DecodedModel],
+    rigs: Sequence[CameraRig],
+    states: Sequence[FrameState],
+    config: ExplorationConfig,
 ) -> list[Target]:
     """Find what a recording leaves to be explored, and from where that could be done.
 
@@ -174,8 +177,8 @@ def targets_of(
     ----------
     models
         Decoded models by object number.
-    rig
-        Cameras, of which the one for depth counts.
+    rigs
+        Cameras of every sensor, of which those for depth count; the first one is to take the views to come.
     states
         Frames in order.
     config
@@ -188,11 +191,13 @@ def targets_of(
     ConfigError
         If an object that is asked for is not there, or rests.
     """
-    frames = draw_frames(models, rig, states, config.threads)
+    # The last frame is where the first sensor starts from.
+    states = sorted(states, key=lambda state: state.sensor == 0)
+    frames = draw_frames(models, rigs, states, config.threads)
     depths = np.concatenate([np.zeros(0, np.float32), *(frame.depth[frame.depth > 0] for frame in frames)])
     if not len(depths):
         raise SequenceError("no frame shows a surface, so there is nothing to explore; record something first")
-    sight = Sight.of(rig.depth, float(np.quantile(depths, FARTHEST)), SENSORS[config.sensor])
+    sight = Sight.of(rigs[0].depth, float(np.quantile(depths, FARTHEST)), SENSORS[config.sensor])
     movers = [number for number in _solid(models) if number and _moves(number, models[number], states)]
     resting = {number: models[number] for number in _solid(models) if number not in movers}
     targets = []
@@ -205,18 +210,20 @@ def targets_of(
 
 
 def draw_frames(
-    models: Mapping[int, DecodedModel], rig: CameraRig, states: Sequence[FrameState], threads: int
+    models: Mapping[int, DecodedModel], rigs: Sequence[CameraRig], states: Sequence[FrameState], threads: int
 ) -> list[DrawnFrame]:
     """Draw small depth pictures of frames from the models as they are now."""
-    camera = _reduced(rig.depth, PICTURE_SIDE / max(rig.depth.width, rig.depth.height))
-    renderer = Renderer(CameraRig.registered_to(camera), RenderConfig(supersample=1, threads=threads))
+    cameras = [_reduced(rig.depth, PICTURE_SIDE / max(rig.depth.width, rig.depth.height)) for rig in rigs]
+    config = RenderConfig(supersample=1, threads=threads)
+    renderers = [Renderer(CameraRig.registered_to(camera), config) for camera in cameras]
     drawable = {number: RenderModel(models[number]) for number in _solid(models)}
     for model in drawable.values():
         model.refresh(threads)
     frames = []
     for state in states:
         poses = {number: state.T_camera_object[number] for number in drawable if number in state.T_camera_object}
-        picture = renderer.draw(drawable, poses, color=False)
+        picture = renderers[state.sensor].draw(drawable, poses, color=False)
+        camera = cameras[state.sensor]
         frames.append(DrawnFrame(state=state, camera=camera, depth=picture.depth, labels=picture.labels))
     return frames
 
@@ -323,7 +330,8 @@ def _reduced(camera: Camera, scale: float) -> Camera:
 
 
 def _camera_moves(states: Sequence[FrameState]) -> bool:
-    return any(not np.array_equal(state.T_world_camera, states[0].T_world_camera) for state in states)
+    first = {state.sensor: state.T_world_camera for state in reversed(states)}
+    return any(not np.array_equal(state.T_world_camera, first[state.sensor]) for state in states)
 
 
 def _moves(number: int, model: DecodedModel, states: Sequence[FrameState]) -> bool:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from threedvc.coding.filters import MAX_FACTOR
 from threedvc.coding.gains import apply_gain
 from threedvc.config import RenderConfig
-from threedvc.decoder import Decoder, FrameState, rig_of
-from threedvc.frame import FrameSequence
+from threedvc.decoder import Decoder, FrameState
+from threedvc.frame import FrameSequence, spread_step
 from threedvc.kernels.picture_filter import add_filter_equations
 from threedvc.packets import Packet
 from threedvc.parallel import for_ranges
@@ -52,18 +52,18 @@ def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int
     """
     equations = _Equations(threads)
     decoder, models = Decoder(), dict[int, RenderModel]()
-    renderer: Renderer | None = None
-    every = -(-len(frames) // FILTER_FRAMES)
+    renderers: dict[int, Renderer] = {}
+    every = spread_step(len(frames), FILTER_FRAMES, frames.info)
     for state in decoder.frames(packets):
         if state.index % every or not state.T_camera_object:
             continue
-        assert decoder.header is not None
-        renderer = renderer or Renderer(rig_of(decoder.header), RenderConfig(threads=threads))
+        if state.sensor not in renderers:
+            renderers[state.sensor] = Renderer(decoder.rigs[state.sensor], RenderConfig(threads=threads))
         for number in state.T_camera_object:
             if number not in models:
                 models[number] = RenderModel(decoder.models[number])
             models[number].refresh(threads)
-        equations.add(renderer, models, state, frames[state.index].color)
+        equations.add(renderers[state.sensor], models, state, frames[state.index].color)
     assert decoder.header is not None
     total = sum(len(packet.payload) for packet in packets)
     return equations.solved(SHARE_PER_BYTE / total, decoder.header.grey)

@@ -35,11 +35,11 @@ from threedvc.coding.gains import NEUTRAL, apply_gain
 from threedvc.config import ColorConfig, RenderConfig, with_step
 from threedvc.errors import FormatError
 from threedvc.evidence_view import Thinned
-from threedvc.frame import Frame, FrameSequence
+from threedvc.frame import Frame, FrameSequence, moments, spread_step
 from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.lighting import epoch_frames
 from threedvc.motion import Script
-from threedvc.pose import Pose, identity, inverse
+from threedvc.pose import Pose, identity, interpolated, inverse
 from threedvc.rate_control import error_at
 from threedvc.readout import REGION_SHIFT, Surface, read_surface
 from threedvc.refinement import mean_misfit, misfit_frames
@@ -192,8 +192,9 @@ class _Fit:
         self.shifts = shifts
         self.only_shifts = False
         pixels = int(np.clip(most_samples // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
-        self._every = -(-len(frames) * pixels // most_samples)
-        self._sampler = Sampler(scene.info.rig, pixels, self._threads)
+        self._every = spread_step(len(frames) * pixels, most_samples, scene.info)
+        self._samplers = [Sampler(rig, pixels, self._threads) for rig in scene.info.rigs]
+        self._views: dict[int, tuple[Thinned, Renderer]] = {}
         self._gains = np.repeat(NEUTRAL[None], len(frames), axis=0)
         self._lit = [number for number, item in scene.objects.items() if _turns(scene, item)]
         self._kept: list[tuple[int, FrameSamples]] = []
@@ -214,7 +215,6 @@ class _Fit:
 
         Only frames that show a cell at all speak about it: one that is seen but for a moment is as good as others.
         """
-        thinned, renderer = self._thinned_views()
         sizes = {number: item.evidence.voxel_size_m for number, item in self._scene.objects.items()}
         field = ColorField(self._surfaces, sizes, dict.fromkeys(sizes, 1), self._threads)
         regions = np.zeros(len(field.values), dtype=np.int64)
@@ -224,6 +224,7 @@ class _Fit:
         shown, around = np.zeros(len(regions)), np.zeros(len(regions))
         for index in np.flatnonzero(~np.array(self._scene.repeated)).tolist():
             poses, sight = self._poses(index), np.zeros(len(regions))
+            thinned, renderer = self._thinned_views(index)
             depth, labels = renderer.cast(thinned.grid, field.models, poses)
             points = np.column_stack([thinned.grid.slopes, np.ones(len(depth))]) * depth[:, None].astype(np.float64)
             for number, pose in poses.items():
@@ -245,9 +246,13 @@ class _Fit:
         free = [number for number in range(1, MAX_LABEL + 1) if number not in scene.objects]
         if scene.at_rest(0) or not free or not self._surfaces[0].cells.size:
             return
-        chosen = range(0, len(self._frames), -(-len(self._frames) // GUESS_FRAMES))
-        views = ((index, poses, self.shifts[index]) for index in chosen if 0 in (poses := self._poses(index)))
-        guess = guess_surfaces(scene.info.rig, views, self.colors.models, scene.distance_m, self._threads)
+        chosen = range(0, len(self._frames), spread_step(len(self._frames), GUESS_FRAMES, scene.info))
+        views = (
+            (index, scene.sensors[index], poses, self.shifts[index])
+            for index in chosen
+            if 0 in (poses := self._poses(index))
+        )
+        guess = guess_surfaces(scene.info.rigs, views, self.colors.models, scene.distance_m, self._threads)
         if len(guess.surface.cells) >= MIN_GUESSED_CELLS:
             self.guess = free[-1], guess
             self.colors = self._field()
@@ -255,16 +260,18 @@ class _Fit:
     def take_samples(self, *, aligned: bool = False) -> None:
         """Sample all frames, if wanted after aligning what may move in them with the colours so far."""
         self._kept = []
-        for frame in self._seen_frames():
-            if self._scene.repeated[frame.index]:
-                self._hold(frame.index)
-                continue
-            if self._lost(frame.index):
-                continue
-            sample = self._aligned(frame) if aligned else self._sample(frame)
-            self._gains[frame.index] = fit_gain(sample, sample.shown(self.colors), self._grey)
-            if frame.index % self._every == 0:
-                self._kept.append((frame.index, replace(sample, points=sample.points[:0])))
+        for moment in moments(self._seen_frames(), self._scene.info):
+            fresh = []
+            for frame in moment:
+                if self._scene.repeated[frame.index]:
+                    self._hold(frame.index)
+                elif not self._lost(frame.index):
+                    fresh.append(frame)
+            samples = self._aligned(fresh) if aligned else list(map(self._sample, fresh))
+            for sample in samples:
+                self._gains[sample.frame] = fit_gain(sample, sample.shown(self.colors), self._grey)
+                if sample.frame % self._every == 0:
+                    self._kept.append((sample.frame, replace(sample, points=sample.points[:0])))
 
     def fit_colors(self, fits: int | None = None) -> None:
         """Fit colours, light and gains to the samples, in turn, `fits` times or as often as does for a start."""
@@ -300,18 +307,21 @@ class _Fit:
 
     def depth_misfit(self) -> float:
         """Return the `mean_misfit` of what is drawn."""
-        thinned, renderer = self._thinned_views()
 
         def pictures(index: int) -> tuple[Floats, Floats]:
+            thinned, renderer = self._thinned_views(index)
             depth, _ = renderer.cast(thinned.grid, self.colors.models, self._poses(index))
             return depth, thinned.thin(self._scene.limited(self._frames[index]).depth).reshape(-1)
 
         return mean_misfit(map(pictures, misfit_frames(self._frames)))
 
-    def _thinned_views(self) -> tuple[Thinned, Renderer]:
-        """Return rays of the depth camera and what casts them."""
-        rig = self._scene.info.rig
-        return Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
+    def _thinned_views(self, frame: int) -> tuple[Thinned, Renderer]:
+        """Return rays of the depth camera that took a frame, and what casts them."""
+        sensor = self._scene.sensors[frame]
+        if sensor not in self._views:
+            rig = self._scene.info.rigs[sensor]
+            self._views[sensor] = Thinned(rig), Renderer(rig, RenderConfig(threads=self._threads))
+        return self._views[sensor]
 
     def surfaces(self, *, background_apart: bool = False) -> dict[int, Surface]:
         """Return the surfaces with the colours so far, and how much these count, on an average 1.
@@ -341,9 +351,10 @@ class _Fit:
     def steady_gains(self) -> NDArray[np.int64]:
         """Return the gains of all frames; one that is hardly better than the one before is not worth its bits."""
         gains = np.repeat(NEUTRAL[None], len(self._frames), axis=0)
-        last = NEUTRAL
-        kept = dict(self._kept)
+        kept, last_of = dict(self._kept), dict[int, NDArray[np.int64]]()
         for index in range(len(self._frames)):
+            sensor = self._scene.sensors[index]
+            last = gains[index] = last_of.get(sensor, NEUTRAL)
             if not self._poses(index) or self._scene.repeated[index] or self._lost(index):
                 continue
             sample = kept.get(index) or self._sample(self._scene.limited(self._frames[index]))
@@ -351,27 +362,26 @@ class _Fit:
             found = fit_gain(sample, shown, self._grey)
             errors = [_error(sample, shown, units) for units in (last, found)]
             if errors[1] < (1 - WORTHWHILE_GAIN) * errors[0]:
-                last = found
-            gains[index:] = last
+                gains[index] = last_of[sensor] = found
         return gains
 
     def backdrop(self, gains: NDArray[np.int64]) -> PictureChoice | None:
-        """Return the picture of the background if it and the camera are at rest."""
+        """Return the picture of the background if it and the camera, the only one, are at rest."""
         scene = self._scene
-        if not scene.at_rest(0):
+        if scene.info.sensors or not scene.at_rest(0):
             return None
         chosen = range(0, len(self._frames), -(-len(self._frames) // BACKDROP_FRAMES))
         seen = ((scene.limited(self._frames[index]), self._poses(index), *apply_gain(gains[index])) for index in chosen)
         return PictureChoice(background_picture(scene.info.rig, seen, self.colors, self._threads), self._grey)
 
     def depth_picture(self) -> DepthChoice | None:
-        """Return the depth picture of the background if it and the camera are at rest, and if it is worth it.
+        """Return the depth picture of the background if it and the only camera are at rest, and if it is worth it.
 
         It must take fewer bytes than the background's cells and meet the measurements no worse. Bytes are weighed
         as the share that they have of a usual stream.
         """
         scene = self._scene
-        if not scene.at_rest(0) or not len(self._surfaces[0].cells):
+        if scene.info.sensors or not scene.at_rest(0) or not len(self._surfaces[0].cells):
             return None
         chosen = range(0, len(self._frames), -(-len(self._frames) // BACKDROP_FRAMES))
         limited = (scene.limited(self._frames[index]) for index in chosen)
@@ -402,7 +412,7 @@ class _Fit:
 
     def _background_views(self) -> _BackgroundViews:
         """Return what frames measure where no object is drawn."""
-        thinned, renderer = self._thinned_views()
+        thinned, renderer = self._thinned_views(0)
         measured = []
         for index in misfit_frames(self._frames):
             _, labels = renderer.cast(thinned.grid, self.colors.models, self._poses(index))
@@ -414,8 +424,11 @@ class _Fit:
         """Return how many pixels of a frame show a cell, on an average over all frames."""
         chosen = [number for number in self._surfaces if number or not without_background] or [0]
         cells = sum(len(self._surfaces[number].cells) for number in chosen)
-        shown = sum(np.count_nonzero(np.isin(sample.labels, chosen)) for _, sample in self._kept)
-        return shown * self._sampler.pixels_per_sample / max(len(self._kept) * cells, 1)
+        shown = sum(
+            np.count_nonzero(np.isin(sample.labels, chosen)) * self._sampler(index).pixels_per_sample
+            for index, sample in self._kept
+        )
+        return shown / max(len(self._kept) * cells, 1)
 
     def _samples(self) -> Iterator[tuple[FrameSamples, NDArray[np.int64]]]:
         return ((sample, self._gains[index]) for index, sample in self._kept)
@@ -425,12 +438,38 @@ class _Fit:
         return (frame for frame in map(self._scene.limited, self._frames) if self._poses(frame.index))
 
     def _sample(self, frame: Frame) -> FrameSamples:
-        return self._sampler.sample(frame, self.colors, self._poses(frame.index), self.shifts[frame.index])
+        poses, shift = self._poses(frame.index), self.shifts[frame.index]
+        return self._sampler(frame.index).sample(frame, self.colors, poses, shift)
 
-    def _aligned(self, frame: Frame) -> FrameSamples:
-        """Align the objects that may move in a frame, or its shift alone, then sample it."""
-        scene, index = self._scene, frame.index
-        sample = self._sample(frame)
+    def _sampler(self, frame: int) -> Sampler:
+        return self._samplers[self._scene.sensors[frame]]
+
+    def _aligned(self, moment: Sequence[Frame]) -> list[FrameSamples]:
+        """Align the objects that may move in the frames of a moment, or their shifts alone, then sample them."""
+        samples = [self._sample(frame) for frame in moment]
+        moved = [self._align(frame, sample) for frame, sample in zip(moment, samples, strict=True)]
+        if not any(moved):
+            return samples
+        if len(moment) > 1:
+            self._unite([frame.index for frame in moment])
+        return [self._sample(frame) for frame in moment]
+
+    def _unite(self, frames: Sequence[int]) -> None:
+        """Give the frames of a moment the same poses, those in the middle of their own."""
+        for script in self.script.values():
+            at = script[frames[0]]
+            if at is None:
+                continue
+            pose = at.T_camera_object
+            for count, frame in enumerate(frames[1:], 2):
+                other = script[frame]
+                pose = pose if other is None else interpolated(pose, other.T_camera_object, 1 / count)
+            for frame in frames:
+                script[frame] = replace(at, T_camera_object=pose)
+
+    def _align(self, frame: Frame, sample: FrameSamples) -> bool:
+        """Align the objects that may move in a frame, or its shift alone; tell whether there are any."""
+        scene, index, rig = self._scene, frame.index, self._scene.info.rigs[frame.sensor]
         luma = (sample.shown(self.colors) @ LUMA).astype(np.float64)
         moved = False
         for number, item in scene.objects.items():
@@ -438,18 +477,22 @@ class _Fit:
             if at is None or not at.usable or scene.is_given(item, at):
                 continue
             moved, here = True, sample.labels == number
-            view = frame, scene.info.rig, at.T_camera_object, sample.points[here], luma[here]
+            view = frame, rig, rig.at_sensor(at.T_camera_object), sample.points[here], luma[here]
             if not self.only_shifts:
-                self.script[number][index] = replace(at, T_camera_object=aligned_pose(*view, sensor=scene.sensor))
+                pose = rig.at_base(aligned_pose(*view, sensor=scene.sensor_of(frame.sensor)))
+                self.script[number][index] = replace(at, T_camera_object=pose)
             elif number == 0:
                 self.shifts[index] = aligned_shift(*view, self.shifts[index])
-        return self._sample(frame) if moved else sample
+        return moved
 
     def _hold(self, index: int) -> None:
-        """Let a frame that repeats the one before be as that one, but for poses that are given."""
-        self._gains[index], self.shifts[index] = self._gains[index - 1], self.shifts[index - 1]
+        """Let a frame that repeats the sensor's one before be as that one, but for poses that are given."""
+        last = self._scene.frame_before(index)
+        if last is None:
+            return
+        self._gains[index], self.shifts[index] = self._gains[last], self.shifts[last]
         for number, item in self._scene.objects.items():
-            at, before = self.script[number][index], self.script[number][index - 1]
+            at, before = self.script[number][index], self.script[number][last]
             if at is not None and before is not None and not self._scene.is_given(item, at):
                 self.script[number][index] = replace(at, T_camera_object=before.T_camera_object)
 
@@ -458,12 +501,12 @@ class _Fit:
         return any(at.status == Status.LOST for script in self.script.values() if (at := script[frame]) is not None)
 
     def _poses(self, frame: int) -> dict[int, Pose]:
-        """Return where the decoder will draw every object that has appeared."""
-        poses = {}
+        """Return where the decoder will draw every object that has appeared, before the sensor that took a frame."""
+        poses, rig = {}, self._scene.info.rigs[self._scene.sensors[frame]]
         for number, item in self._scene.objects.items():
             at = self.script[number][frame]
             if item.born is not None and item.born <= frame:
-                poses[number] = item.poses[frame] if at is None else at.T_camera_object
+                poses[number] = rig.at_sensor(item.poses[frame] if at is None else at.T_camera_object)
         if self.guess is not None and 0 in poses:
             poses[self.guess[0]] = poses[0]
         return poses

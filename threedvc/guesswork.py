@@ -8,7 +8,7 @@ their place is a guess.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,9 +50,19 @@ class Guess:
     voxel_size_m: float
 
 
+class _Rays:
+    """The rays of a colour camera that look for holes."""
+
+    def __init__(self, rig: CameraRig, threads: int) -> None:
+        self.stride = max(1, round(np.sqrt(rig.color.width * rig.color.height / RAYS)))
+        self.T_color_depth = rig.T_color_depth
+        self.grid = RayGrid(rig.color.every(self.stride), apart=True)
+        self.renderer = Renderer(rig, RenderConfig(supersample=1, threads=threads))
+
+
 def guess_surfaces(
-    rig: CameraRig,
-    views: Iterable[tuple[int, Mapping[int, Pose], Pose]],
+    rigs: Sequence[CameraRig],
+    views: Iterable[tuple[int, int, Mapping[int, Pose], Pose]],
     models: Mapping[int, RenderModel],
     distance_m: float,
     threads: int,
@@ -61,10 +71,11 @@ def guess_surfaces(
 
     Parameters
     ----------
-    rig
-        Cameras.
+    rigs
+        Cameras of every sensor.
     views
-        Number of a frame, poses T_camera_object of the objects (that of 0 among them), and T_shifted_camera.
+        Numbers of a frame and of its sensor, poses T_camera_object of the objects (that of 0 among them) before the
+        sensor, and T_shifted_camera.
     models
         The objects, by number.
     distance_m
@@ -72,17 +83,15 @@ def guess_surfaces(
     threads
         Number of threads.
     """
-    stride = max(1, round(np.sqrt(rig.color.width * rig.color.height / RAYS)))
-    size = max(WIDTH * models[0].model.voxel_size_m, RAYS_PER_CELL * stride * distance_m / rig.color.fx)
+    each_rays = [_Rays(rig, threads) for rig in rigs]
+    ray_m = max(rays.stride * distance_m / rig.color.fx for rays, rig in zip(each_rays, rigs, strict=True))
+    size = max(WIDTH * models[0].model.voxel_size_m, RAYS_PER_CELL * ray_m)
     guessed = RenderModel(DecodedModel(size, guessed=True))
-    rays, renderer = (
-        RayGrid(rig.color.every(stride), apart=True),
-        Renderer(rig, RenderConfig(supersample=1, threads=threads)),
-    )
     seen: list[NDArray[np.int32]] = [np.empty(0, dtype=np.int32)]
     number = max(models) + 1
-    for frame, poses, T_shifted_camera in views:
-        T_color_camera = compose(rig.T_color_depth, T_shifted_camera)
+    for frame, sensor, poses, T_shifted_camera in views:
+        rays, renderer = each_rays[sensor].grid, each_rays[sensor].renderer
+        T_color_camera = compose(each_rays[sensor].T_color_depth, T_shifted_camera)
         moved = {each: compose(T_color_camera, pose) for each, pose in poses.items()}
         depth, labels = renderer.cast(rays, models, moved)
         if not depth.any():

@@ -44,7 +44,7 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Keyframe:
-    """Pose ``T_camera_object``, points (n, 3) in the object's frame, descriptors (n, 32), distance, small picture."""
+    """Pose before its sensor, points (n, 3) of the object, descriptors (n, 32), distance, small picture."""
 
     T_camera_object: Pose
     points: Doubles
@@ -54,7 +54,7 @@ class _Keyframe:
 
 
 class Sight(NamedTuple):
-    """A pose ``T_camera_object`` that features speak for, and how many do."""
+    """A pose ``T_camera_object`` before the base that features speak for, and how many do."""
 
     T_camera_object: Pose
     features: int
@@ -65,16 +65,14 @@ class Keyframes:
 
     Parameters
     ----------
-    rig
-        Cameras of the frames.
+    rigs
+        Cameras of every sensor.
     """
 
-    def __init__(self, rig: CameraRig) -> None:
-        self._rig = rig
+    def __init__(self, *rigs: CameraRig) -> None:
+        self._rigs = rigs
         self._kept: list[_Keyframe] = []
-        self._rays = rig.depth.rays()
-        largest = max(rig.color.width, rig.color.height)
-        self._scale = max(1, round(largest / PICTURE_SIDE))
+        self._rays = [rig.depth.rays() for rig in rigs]
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -89,8 +87,9 @@ class Keyframes:
         mask
             (h, w) bool pixels of the object in the depth camera.
         T_camera_object
-            Its pose there.
+            Its pose before the base.
         """
+        T_camera_object = self._rigs[frame.sensor].at_sensor(T_camera_object)
         if len(self._kept) >= MAX_KEYFRAMES or any(_near(kept, T_camera_object) for kept in self._kept):
             return
         pixels, descriptors = self._features(frame)
@@ -127,7 +126,9 @@ class Keyframes:
         if len(pixels) < MIN_MATCHES:
             return []
         found = [
-            sight for kept in self._most_alike(frame) if (sight := self._sight(kept, pixels, descriptors)) is not None
+            sight
+            for kept in self._most_alike(frame)
+            if (sight := self._sight(kept, pixels, descriptors, self._rigs[frame.sensor])) is not None
         ]
         return sorted(found, key=lambda sight: -sight.features)[:CANDIDATES]
 
@@ -140,23 +141,24 @@ class Keyframes:
     def _features(self, frame: Frame) -> tuple[Doubles, NDArray[np.uint8]]:
         """Return pixels (n, 2) in the colour camera and descriptors (n, 32)."""
         grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-        if self._scale > 1:
-            height, width = grey.shape
-            grey = cv2.resize(grey, (width // self._scale, height // self._scale), interpolation=cv2.INTER_AREA)
+        height, width = grey.shape
+        scale = max(1, round(max(width, height) / PICTURE_SIDE))
+        if scale > 1:
+            grey = cv2.resize(grey, (width // scale, height // scale), interpolation=cv2.INTER_AREA)
         border = min(BORDER, min(grey.shape) // 8)
         detector = cv2.ORB.create(MAX_FEATURES, edgeThreshold=border, fastThreshold=FAST_THRESHOLD)
         points, descriptors = detector.detectAndCompute(grey, None)
         if not len(points):
             return np.zeros((0, 2)), np.zeros((0, 32), np.uint8)
         pixels = np.array([point.pt for point in points])
-        return (pixels + 0.5) * self._scale - 0.5, np.asarray(descriptors, dtype=np.uint8)
+        return (pixels + 0.5) * scale - 0.5, np.asarray(descriptors, dtype=np.uint8)
 
     def _lift(self, frame: Frame, mask: NDArray[np.bool_], pixels: Doubles) -> tuple[Doubles, NDArray[np.bool_]]:
         """Return the points (n, 3) in the depth camera that colour pixels show, and which of them are the object's."""
-        rig = self._rig
+        rig = self._rigs[frame.sensor]
         known = frame.depth > 0
         z = frame.depth[known].astype(np.float64)
-        points = np.column_stack([self._rays[known] * z[:, None], z])
+        points = np.column_stack([self._rays[frame.sensor][known] * z[:, None], z])
         T = rig.T_color_depth
         moved = points @ T[:3, :3].T + T[:3, 3]
         ahead = moved[:, 2] > 0
@@ -173,7 +175,8 @@ class Keyframes:
         found = (number >= 0) & mask[known][number] if len(points) else np.zeros(len(pixels), np.bool_)
         return (points[number] if len(points) else np.zeros((len(pixels), 3))), found
 
-    def _sight(self, kept: _Keyframe, pixels: Doubles, descriptors: NDArray[np.uint8]) -> Sight | None:
+    @staticmethod
+    def _sight(kept: _Keyframe, pixels: Doubles, descriptors: NDArray[np.uint8], rig: CameraRig) -> Sight | None:
         matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
         pairs = [pair for pair in matcher.knnMatch(descriptors, kept.descriptors, k=2) if len(pair) == 2]
         clear = [best for best, second in pairs if best.distance < MAX_RATIO * second.distance]
@@ -181,7 +184,7 @@ class Keyframes:
             return None
         points = kept.points[[match.trainIdx for match in clear]]
         places = pixels[[match.queryIdx for match in clear]]
-        camera = self._rig.color
+        camera = rig.color
         parameters = camera.parameters()
         matrix = np.array([[parameters[0], 0, parameters[2]], [0, parameters[1], parameters[3]], [0, 0, 1]])
         try:
@@ -197,7 +200,7 @@ class Keyframes:
         turn, shift = cv2.solvePnPRefineLM(points[follow], places[follow], matrix, parameters[4:9], turn, shift)
         R = rotation_from_vector(np.asarray(turn, dtype=np.float64).ravel())
         T_color_object = make_pose(R, np.asarray(shift, dtype=np.float64).ravel())
-        return Sight(compose(inverse(self._rig.T_color_depth), T_color_object), len(follow))
+        return Sight(rig.at_base(compose(inverse(rig.T_color_depth), T_color_object)), len(follow))
 
 
 def _near(kept: _Keyframe, T_camera_object: Pose) -> bool:

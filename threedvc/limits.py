@@ -23,6 +23,7 @@ __all__ = [
     "MAX_OBJECT_ID",
     "MAX_PAYLOAD_BYTES",
     "MAX_RELIEF_BITS",
+    "MAX_SENSORS",
     "MAX_TEXTURE_BITS",
 ]
 
@@ -58,6 +59,9 @@ MAX_COUNT: Final = 1 << 20
 
 MAX_RELIEF_BITS: Final = 3
 """Binary logarithm of the places in a cell where a surface may pass."""
+
+MAX_SENSORS: Final = 256
+"""Sensors of a stream."""
 
 MAX_TEXTURE_BITS: Final = 2
 """Binary logarithm of the number of texels along an edge of a cell."""

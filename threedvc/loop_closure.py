@@ -88,7 +88,11 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | 
     None where no place is seen again after a while, or poses agree already.
     """
     found = scene.objects[0].found
-    usable = [at.T_camera_object if at is not None and at.usable else None for at in found]
+    # Of several sensors the first one closes loops; all are mounted together.
+    usable = [
+        at.T_camera_object if at is not None and at.usable and not sensor else None
+        for at, sensor in zip(found, scene.sensors, strict=True)
+    ]
     keys = []
     for number in key_numbers(usable, scene.distance_m):
         frame, at = scene.limited(frames[number]), found[number]
@@ -158,7 +162,8 @@ def _step(keys: Sequence[_View], second: int) -> Link:
 
 def _link(keys: Sequence[_View], first: int, second: int, scene: Scene) -> Link | None:
     a, b = keys[first], keys[second]
-    seen, sigma_m, threads = (b.depth, b.luma, None, b.camera, a.view), scene.sensor.sigma_m, scene.config.threads
+    seen, sigma_m = (b.depth, b.luma, None, b.camera, a.view), scene.sensor_of(0).sigma_m
+    threads = scene.config.threads
     guess = inverse(b.T_world_camera) @ a.T_world_camera
     found = register_from_starts(*seen, guess, sigma_m=sigma_m, config=PAIRWISE, threads=threads)
     if found.status is Status.LOST or found.overlap < MIN_OVERLAP or found.inlier_fraction < MIN_INLIERS:

@@ -5,19 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias, TypedDict
+from typing import NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.alignment import Alignment
 from threedvc.camera import Camera, CameraRig
 from threedvc.config import Motion
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import FrameViews, Thinned, cast_view
+from threedvc.evidence_view import FrameViews, cast_view
 from threedvc.frame import Frame, SequenceInfo
+from threedvc.joint_pose import PoseWitness, joint_pose
 from threedvc.keyframes import Keyframes
 from threedvc.object_model import EvidenceModel
-from threedvc.pose import Pose, identity, interpolated, inverse, make_pose
+from threedvc.pose import Pose, identity, interpolated, inverse, make_pose, orthonormalised, rotation_angle
 from threedvc.registration import ModelView, Registration, RegistrationConfig, Status, register, rests
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
@@ -26,6 +28,7 @@ __all__ = [
     "UNSEEN",
     "Located",
     "Script",
+    "Sight",
     "Tracker",
     "joined_parts",
     "known_pose",
@@ -43,6 +46,11 @@ PART_CELLS = 4096
 """Parts of a model lie so far apart: many times as far as cameras see, for cells are some pixels wide."""
 RETURN_FRAMES = 10
 """In a new part, every so many frames are held against the others."""
+UNEVEN = 0.2
+"""Steps of time that differ by more than this part are taken into account when a pose is predicted."""
+MAX_AHEAD = 3.0
+SAME_TURN_RAD, SAME_SHIFT = 0.1, 0.1
+"""Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance."""
 COAST_FRAMES = 5
 """A lost object goes on as it went for so many frames, then stays."""
 UNSEEN = "unseen"
@@ -53,7 +61,8 @@ UNSEEN = "unseen"
 class Located:
     """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak, lost or unseen.
 
-    The part is that of the model which it was found by, see `Tracker`.
+    With several sensors T_camera_object is that before the base, which all of them are mounted on. The part is that of
+    the model which it was found by, see `Tracker`.
     """
 
     T_camera_object: Pose
@@ -91,7 +100,7 @@ def motion_of(number: int, info: SequenceInfo, motion: Motion) -> Motion:
 
 
 def known_pose(number: int, frame: Frame, only_label: bool) -> Pose | None:
-    """Return T_camera_object as the input gives it, or None for a frame without.
+    """Return T_camera_object, before the sensor that took the frame, as the input gives it, or None where it does not.
 
     With `only_label` an object whose number names no pose takes the only one there is: a depth threshold
     finds one object, whatever its label.
@@ -116,6 +125,46 @@ class _Options(TypedDict):
     config: RegistrationConfig
 
 
+class Sight(NamedTuple):
+    """What one sensor sees of an object: the forms of its frame, and the object's pixels (h, w) in the depth camera."""
+
+    views: FrameViews
+    mask: NDArray[np.bool_]
+
+
+class _Registered(NamedTuple):
+    """The registration of one frame: what was found before its sensor, and what it was found with."""
+
+    found: Registration
+    seen: _Seen
+    view: ModelView
+    options: _Options
+    rig: CameraRig
+
+    @property
+    def at_base(self) -> Registration:
+        """What was found, with the pose before the base."""
+        return replace(self.found, T_camera_object=self.rig.at_base(self.found.T_camera_object))
+
+    def witness(self) -> PoseWitness | None:
+        """Return how surely the frame tells the pose; None where it hardly does."""
+        options = self.options
+        alignment = Alignment(*self.seen, self.view, options["sigma_m"], options["config"], options["threads"])
+        information = alignment.information(self.found.T_camera_object)
+        if information is None:
+            return None
+        return PoseWitness(self.at_base.T_camera_object, self.view.T_camera_object, information)
+
+
+class _Remembered(NamedTuple):
+    """How an object looked last to a sensor: stride of the form, depth and luma (h, w), pose before the base."""
+
+    stride: int
+    depth: NDArray[np.float32]
+    luma: NDArray[np.float32]
+    T_base_object: Pose
+
+
 class Tracker:
     """Follows one object by registration; remembers its last two poses, how it looked last, and its keyframes.
 
@@ -127,12 +176,17 @@ class Tracker:
     moved far away in the object's own frame, so that nothing wrong is fused. When an earlier part is recognised, the
     object is followed there again, and `bridges` tells how the parts lie to each other.
 
+    Frames that several sensors took at the same moment are registered each, and what they say is joined. Poses are
+    those before the base; see `threedvc.camera.CameraRig`.
+
     Parameters
     ----------
     sensor
         Noise of the depth.
     threads
         Number of threads; poses do not depend on it.
+    sensor_of
+        Noise of the depth by the number of the sensor, where there are several; None: all are as `sensor`.
     lit_evenly
         Whether shading goes with the surface, as that of a room that only the camera moves in: then luma counts as it
         is, else against its local mean.
@@ -154,6 +208,7 @@ class Tracker:
         sensor: SensorModel,
         threads: int,
         *,
+        sensor_of: Callable[[int], SensorModel] | None = None,
         lit_evenly: bool = False,
         luma_weight: float = 1.0,
         patience: int = 0,
@@ -162,105 +217,154 @@ class Tracker:
         config = RegistrationConfig(luma_weight=luma_weight)
         if lit_evenly:
             config = replace(config, detail_pixels=0)
-        self._options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config)
+        self._sensor, self._sensor_of, self._threads, self._config = sensor, sensor_of, threads, config
         self._poses: list[Pose] = []
+        self._times: list[int] = []
         self._resting = False
         self._usual = 0.0
         self._patience, self._lost, self._recovers = patience, 0, recovers
         self._part, self._parts, self._since_check, self._apart_m = 0, 1, 0, 1.0
         self.bridges: dict[int, tuple[Pose, int]] = {}
         self._keyframes: Keyframes | None = None
-        self._last: tuple[int, NDArray[np.float32], NDArray[np.float32]] | None = None
+        self._last: dict[int, _Remembered] = {}
 
-    def start(self, views: FrameViews, mask: NDArray[np.bool_], number: int, rig: CameraRig) -> Located:
-        """Place the object's own frame: the camera's for the background, else the middle of what is seen."""
+    def start(self, views: FrameViews, mask: NDArray[np.bool_], number: int, *rigs: CameraRig) -> Located:
+        """Place the object's own frame: the camera's for the background, else the middle of what is seen.
+
+        `rigs` are the cameras of every sensor.
+        """
         T, frame = identity(), views.frame
         if number:
             seen = mask & (frame.depth > 0)
             z = frame.depth[seen].astype(np.float64)
-            slopes = rig.depth.rays()[seen]
+            slopes = views.rig.depth.rays()[seen]
             centre = np.array([np.median(slopes[:, 0] * z), np.median(slopes[:, 1] * z), np.median(z)])
             T = make_pose(np.eye(3), centre)
-        self._keyframes = Keyframes(rig) if self._recovers else None
-        self._poses = [T]
+        if number:
+            T = views.rig.at_base(T)
+        self._keyframes = Keyframes(*rigs) if self._recovers else None
+        self._go([T], frame)
         self._remember(views, mask)
         return Located(T_camera_object=T, status=Status.TRACKED)
 
     def locate(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
         """Register a frame against the evidence; where that fails, find the object again or say that it is lost."""
-        last = self._poses[-1]
-        guess = predict(*self._poses) if len(self._poses) > 1 else last
-        seen = _seen(views, mask)
-        view = self._view(views.form(mask), model, last)
-        found = register_from_starts(*seen, view, guess, **self._options)
+        return self.locate_together([Sight(views, mask)], model)
+
+    def locate_together(self, sights: Sequence[Sight], model: EvidenceModel) -> Located:
+        """Register the frames of one moment, at least one, as `locate` does."""
+        last, frame = self._poses[-1], sights[0].views.frame
+        guess = self._guess(frame)
+        views = [self._view(sight, model, last) for sight in sights]
+        found = self._registered(sights, views, guess)
         status = found.status
         if status is Status.LOST or (status is Status.WEAK and found.agreement < DOUBTFUL * self._usual):
-            again = self._found_again(views, mask, model)
+            again = self._found_again(sights, model)
             if again is not None and again.agreement > found.agreement * (status is not Status.LOST):
                 found, status = again, Status.RELOCALISED
             elif self._lost:
                 status = Status.LOST  # a poor fit elsewhere than expected is no find
         if status is Status.LOST:
             waits = not self._patience or self._lost < self._patience
-            return self._missed() if waits else self._begin_part(views, mask, model)
-        elsewhere = self._recognised(views, mask, model, found)
+            return self._missed(frame) if waits else self._begin_part(sights, model)
+        elsewhere = self._recognised(sights, model, found)
         if elsewhere is not None:
             found, status = elsewhere, Status.RELOCALISED
         jumped = status is Status.RELOCALISED
         if jumped:
             self._part = self._part_of(found.T_camera_object)
-        self._resting = not jumped and rests(*seen, view, last, found, resting=self._resting, **self._options)
+        self._resting = not jumped and self._rests(sights, views, last, found)
         pose = last if self._resting else found.T_camera_object
-        self._poses = [pose] if jumped else [last, pose]
+        self._go([pose] if jumped else [last, pose], frame)
         self._usual += (1 - USUAL) * (found.agreement - self._usual) if self._usual else found.agreement
         self._lost = 0
-        self._remember(views, mask)
-        if status is not Status.WEAK:
-            self._note(views, mask)
+        for sight in sights:
+            self._remember(*sight)
+            if status is not Status.WEAK:
+                self._note(*sight)
         return Located(T_camera_object=pose, status=status, part=self._part)
 
     def locate_by_picture(self, views: FrameViews) -> Located:
         """Find the object in a frame without depth by the colour picture alone."""
         sights = [] if self._keyframes is None else self._keyframes.find(views.frame)
         if not sights:
-            return self._missed()
+            return self._missed(views.frame)
         pose = sights[0].T_camera_object
-        self._poses, self._last, self._resting = [pose], None, False
+        self._last, self._resting = {}, False
+        self._go([pose], views.frame)
         self._part = self._part_of(pose)
         return Located(T_camera_object=pose, status=Status.WEAK, part=self._part)
 
-    def _missed(self) -> Located:
+    def _options(self, views: FrameViews) -> _Options:
+        """Return what registration of a frame is given."""
+        sensor = self._sensor if self._sensor_of is None else self._sensor_of(views.frame.sensor)
+        return _Options(sigma_m=sensor.sigma_m, threads=self._threads, config=self._config)
+
+    def _go(self, poses: list[Pose], frame: Frame) -> None:
+        """Take over the pose in a frame, after that of the frame before if they are to be two."""
+        self._poses = poses
+        self._times = [*self._times, frame.timestamp_ns][-len(poses) :]
+
+    def _guess(self, frame: Frame) -> Pose:
+        """Return the pose in a frame at constant velocity."""
+        if len(self._poses) < 2:
+            return self._poses[-1]
+        ahead, step = frame.timestamp_ns - self._times[-1], self._times[-1] - self._times[0]
+        steps = min(ahead / step, MAX_AHEAD) if ahead > 0 and step > 0 else 1.0
+        following = predict(*self._poses)
+        if abs(steps - 1) <= UNEVEN:
+            return following
+        return orthonormalised(interpolated(self._poses[-1], following, steps))
+
+    def _registered(self, sights: Sequence[Sight], views: Sequence[ModelView], guess: Pose) -> Registration:
+        """Register the frames of a moment with their views; return what they say together, before the base."""
+        witnesses = []
+        for (frame_views, mask), view in zip(sights, views, strict=True):
+            seen, options, rig = _seen(frame_views, mask), self._options(frame_views), frame_views.rig
+            found = register_from_starts(*seen, view, rig.at_sensor(guess), **options)
+            witnesses.append(_Registered(found, seen, view, options, rig))
+        return _joined(witnesses)
+
+    def _rests(self, sights: Sequence[Sight], views: Sequence[ModelView], last: Pose, found: Registration) -> bool:
+        """Tell whether the object still has its last pose as far as all frames of a moment can tell."""
+        for (frame_views, mask), view in zip(sights, views, strict=True):
+            there = frame_views.rig.at_sensor
+            here = replace(found, T_camera_object=there(found.T_camera_object))
+            options = self._options(frame_views)
+            if not rests(*_seen(frame_views, mask), view, there(last), here, resting=self._resting, **options):
+                return False
+        return True
+
+    def _missed(self, frame: Frame) -> Located:
         """Let a lost object go on for a moment, then stay where it was."""
         if not self._recovers:
             return Located(T_camera_object=self._poses[-1], status=Status.LOST)
         self._lost += 1
-        if len(self._poses) > 1 and self._lost <= COAST_FRAMES:
-            self._poses = [self._poses[-1], predict(*self._poses)]
-        else:
-            self._poses = self._poses[-1:]
-        self._last, self._resting = None, False
+        coasts = len(self._poses) > 1 and self._lost <= COAST_FRAMES
+        self._go([self._poses[-1], self._guess(frame)] if coasts else self._poses[-1:], frame)
+        self._last, self._resting = {}, False
         return Located(T_camera_object=self._poses[-1], status=Status.LOST, part=self._part)
 
-    def _begin_part(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
-        """Begin a new part of the model with a frame, above the others as the first camera saw them."""
+    def _begin_part(self, sights: Sequence[Sight], model: EvidenceModel) -> Located:
+        """Begin a new part of the model with a moment, above the others as the first camera saw them."""
         self._apart_m = PART_CELLS * model.voxel_size_m
         on = np.array([0.0, (self._parts - self._part) * self._apart_m, 0.0])
         here = self._poses[-1] @ make_pose(np.eye(3), on)
         self._part, self._parts = self._parts, self._parts + 1
-        self._poses, self._resting, self._usual, self._lost, self._since_check = [here], False, 0.0, 0, 0
-        self._remember(views, mask)
-        self._note(views, mask)
+        self._resting, self._usual, self._lost, self._since_check = False, 0.0, 0, 0
+        self._go([here], sights[0].views.frame)
+        for sight in sights:
+            self._remember(*sight)
+            self._note(*sight)
         return Located(T_camera_object=here, status=Status.WEAK, part=self._part)
 
-    def _recognised(
-        self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel, found: Registration
-    ) -> Registration | None:
+    def _recognised(self, sights: Sequence[Sight], model: EvidenceModel, found: Registration) -> Registration | None:
         """Look now and then whether a frame shows another part of the model, if the present one is not the first."""
         self._since_check += 1
         if not self._part or self._since_check < RETURN_FRAMES:
             return None
         self._since_check, last = 0, self._last
-        elsewhere = self._found_again(views, mask, model, apart_from=found.T_camera_object)
+        elsewhere = self._found_again(sights, model, apart_from=found.T_camera_object)
         self._last = last
         if elsewhere is not None:
             other = self._part_of(elsewhere.T_camera_object)
@@ -273,26 +377,27 @@ class Tracker:
         return min(max(round(height / self._apart_m), 0), self._parts - 1)
 
     def _found_again(
-        self,
-        views: FrameViews,
-        mask: NDArray[np.bool_],
-        model: EvidenceModel,
-        apart_from: Pose | None = None,
+        self, sights: Sequence[Sight], model: EvidenceModel, apart_from: Pose | None = None
     ) -> Registration | None:
-        """Return the best registration from poses that keyframes speak for, if it can be trusted.
+        """Return the best registration of a moment's frames from poses that keyframes speak for, if it can be trusted.
 
         With a pose to be `apart_from`, only those in other parts of the model count.
         """
         if self._keyframes is None:
             return None
-        self._last = None
-        seen, form = _seen(views, mask), views.form(mask)
-        poses = [sight.T_camera_object for sight in self._keyframes.find(views.frame, mask)]
-        if apart_from is not None:
-            here = self._part_of(apart_from)
-            poses = [pose for pose in poses if self._part_of(pose) != here]
-        tries = [register(*seen, self._view(form, model, pose), pose, **self._options) for pose in poses]
-        trusted = [found for found in tries if found.status is Status.TRACKED]
+        self._last = {}
+        trusted = []
+        for sight in sights:
+            views, mask = sight
+            poses = [each.T_camera_object for each in self._keyframes.find(views.frame, mask)]
+            if apart_from is not None:
+                here = self._part_of(apart_from)
+                poses = [pose for pose in poses if self._part_of(pose) != here]
+            seen, options = _seen(views, mask), self._options(views)
+            for pose in poses:
+                found = register(*seen, self._view(sight, model, pose), views.rig.at_sensor(pose), **options)
+                if found.status is Status.TRACKED:
+                    trusted.append(replace(found, T_camera_object=views.rig.at_base(found.T_camera_object)))
         return max(trusted, key=lambda found: found.agreement, default=None)
 
     def _note(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
@@ -301,21 +406,26 @@ class Tracker:
 
     def resume(self, T_camera_object: Pose) -> None:
         """Go on from a pose: the object was out of sight, or was found by other means."""
-        self._poses, self._resting, self._last = [T_camera_object], False, None
+        self._poses, self._resting, self._last = [T_camera_object], False, {}
+        self._times = self._times[-1:]
 
     def _remember(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
         form = views.form(mask)
         depth = np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))
-        self._last = (form.stride, depth, views.luma(form))
+        self._last[views.frame.sensor] = _Remembered(form.stride, depth, views.luma(form), self._poses[-1])
 
-    def _view(self, form: Thinned, model: EvidenceModel, pose: Pose) -> ModelView:
-        """Cast the model, and give a view from the last pose the luma of the last frame on the same surface."""
-        view = cast_view(model, form, pose, self._options["threads"])
-        if self._last is None or self._last[0] != form.stride:
-            return view
-        _, depth, luma = self._last
-        same = (view.depth > 0) & (np.abs(depth - view.depth) < SAME_SURFACE * view.depth)
-        return replace(view, intensity=np.where(same, luma, np.float32(np.nan)))
+    def _view(self, sight: Sight, model: EvidenceModel, pose: Pose) -> ModelView:
+        """Cast the model from where a sensor saw the object last, with the luma of that frame on the same surface.
+
+        What the sensor has not seen of late is cast from a pose before the base, with the luma of the model.
+        """
+        form, rig = sight.views.form(sight.mask), sight.views.rig
+        last = self._last.get(sight.views.frame.sensor)
+        if last is None or last.stride != form.stride:
+            return cast_view(model, form, rig.at_sensor(pose), self._threads)
+        view = cast_view(model, form, rig.at_sensor(last.T_base_object), self._threads)
+        same = (view.depth > 0) & (np.abs(last.depth - view.depth) < SAME_SURFACE * view.depth)
+        return replace(view, intensity=np.where(same, last.luma, np.float32(np.nan)))
 
 
 def joined_parts(found: Sequence[Located | None], bridges: Mapping[int, tuple[Pose, int]]) -> list[Located | None]:
@@ -344,6 +454,33 @@ def joined_parts(found: Sequence[Located | None], bridges: Mapping[int, tuple[Po
     return result
 
 
+def _joined(witnesses: Sequence[_Registered]) -> Registration:
+    """Return what the registrations of the frames of a moment, at least one, say together, before the base.
+
+    Only those of the best status that agree with the one of most inliers count.
+    """
+    if len(witnesses) == 1:
+        return witnesses[0].at_base
+    best = next((s for s in (Status.TRACKED, Status.WEAK) if any(each.found.status is s for each in witnesses)), None)
+    chosen = [each for each in witnesses if each.found.status is best]
+    if not chosen:
+        return witnesses[0].at_base
+    chosen.sort(key=lambda each: -each.found.inliers)
+    leading = chosen[0].at_base
+    said = [witness for each in chosen if (witness := each.witness()) is not None]
+    distance_m = float(np.median(chosen[0].view.depth[chosen[0].view.depth > 0]))
+    agreeing = [each for each in said if _agree(each.T_base_object, leading.T_camera_object, distance_m)]
+    if len(agreeing) < 2:
+        return leading
+    return replace(leading, T_camera_object=joint_pose(agreeing))
+
+
+def _agree(one: Pose, other: Pose, distance_m: float) -> bool:
+    """Tell whether two poses of an object are so near that they can be the same with some noise."""
+    change = one @ inverse(other)
+    return rotation_angle(change) < SAME_TURN_RAD and float(np.linalg.norm(change[:3, 3])) < SAME_SHIFT * distance_m
+
+
 def _seen(views: FrameViews, mask: NDArray[np.bool_]) -> _Seen:
     """Return what registration takes of a frame."""
     form = views.form(mask)
@@ -352,26 +489,28 @@ def _seen(views: FrameViews, mask: NDArray[np.bool_]) -> _Seen:
 
 def refined(
     at: Located,
-    views: FrameViews,
-    mask: NDArray[np.bool_],
+    sights: Sequence[Sight],
     model: EvidenceModel,
-    sensor: SensorModel,
+    sensors: Sequence[SensorModel],
     threads: int,
     config: RegistrationConfig | None = None,
 ) -> Located:
-    """Register a frame once more, against the finished model, from the pose that it was fused at.
+    """Register the frames of a moment once more, against the finished model, from the pose that they were fused at.
 
-    The pose stays as it is unless the other fits significantly better.
+    The pose stays as it is unless the other fits significantly better. `sensors` are the noise of every sight's depth.
     """
-    seen = _seen(views, mask)
-    view = cast_view(model, views.form(mask), at.T_camera_object, threads, exact=True)
-    options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
-    found = register(*seen, view, at.T_camera_object, **options)
-    if found.status is not Status.TRACKED:
+    witnesses, moved = [], False
+    for (views, mask), sensor in zip(sights, sensors, strict=True):
+        T_camera_object, seen = views.rig.at_sensor(at.T_camera_object), _seen(views, mask)
+        view = cast_view(model, views.form(mask), T_camera_object, threads, exact=True)
+        options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
+        found = register(*seen, view, T_camera_object, **options)
+        if found.status is Status.TRACKED:
+            moved |= not rests(*seen, view, T_camera_object, found, resting=True, **options)
+        witnesses.append(_Registered(found, seen, view, options, views.rig))
+    if not moved:
         return at
-    if rests(*seen, view, at.T_camera_object, found, resting=True, **options):
-        return at
-    return replace(at, T_camera_object=found.T_camera_object)
+    return replace(at, T_camera_object=_joined(witnesses).T_camera_object)
 
 
 def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
@@ -394,16 +533,20 @@ def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
 def refound(
     at: Located,
     T_guess: Pose,
-    views: FrameViews,
-    mask: NDArray[np.bool_],
+    sights: Sequence[Sight],
     model: EvidenceModel,
-    sensor: SensorModel,
+    sensors: Sequence[SensorModel],
     threads: int,
 ) -> Located:
     """Look for a lost object near a guess in the finished model; it stays lost, at the guess, if it is not there."""
-    view = cast_view(model, views.form(mask), T_guess, threads, exact=True)
-    options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=RegistrationConfig())
-    found = register_from_starts(*_seen(views, mask), view, T_guess, **options)
-    if found.status is not Status.TRACKED:
+    witnesses = []
+    for (views, mask), sensor in zip(sights, sensors, strict=True):
+        T_camera_object, seen = views.rig.at_sensor(T_guess), _seen(views, mask)
+        view = cast_view(model, views.form(mask), T_camera_object, threads, exact=True)
+        options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=RegistrationConfig())
+        found = register_from_starts(*seen, view, T_camera_object, **options)
+        witnesses.append(_Registered(found, seen, view, options, views.rig))
+    together = _joined(witnesses)
+    if together.status is not Status.TRACKED:
         return replace(at, T_camera_object=T_guess)
-    return replace(at, T_camera_object=found.T_camera_object, status=Status.RELOCALISED)
+    return replace(at, T_camera_object=together.T_camera_object, status=Status.RELOCALISED)

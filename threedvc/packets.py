@@ -23,6 +23,7 @@ from threedvc.limits import (
     MAX_OBJECT_ID,
     MAX_PAYLOAD_BYTES,
     MAX_RELIEF_BITS,
+    MAX_SENSORS,
     MAX_TEXTURE_BITS,
 )
 from threedvc.wire import ByteReader, pack_map, pack_varint, unpack_map
@@ -44,12 +45,15 @@ __all__ = [
     "LightHeader",
     "ModelHeader",
     "ObjectHeader",
+    "OrderHeader",
     "Packet",
     "PacketFlag",
     "PacketType",
     "PoseHeader",
     "ReliefHeader",
     "RunHeader",
+    "SensorHeader",
+    "SensorRunHeader",
     "ShiftHeader",
     "SnapshotHeader",
     "StreamHeader",
@@ -95,13 +99,22 @@ class PacketType(IntEnum):
     RELIEF = 18
     FILTER = 19
     DEPTH = 20
+    SENSOR = 21
+    ORDER = 22
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
 """Types whose payload has no coding yet: to this reader they are unknown."""
 
 TOP_LEVEL_TYPES = frozenset(
-    {PacketType.STREAM, PacketType.SNAPSHOT, PacketType.BATCH, PacketType.INDEX, PacketType.END}
+    {
+        PacketType.STREAM,
+        PacketType.SENSOR,
+        PacketType.SNAPSHOT,
+        PacketType.BATCH,
+        PacketType.INDEX,
+        PacketType.END,
+    }
 )
 """Types that do not stand in a BATCH."""
 
@@ -250,6 +263,8 @@ class StreamHeader(Header):
         Quantisation of poses.
     grey
         Whether the pictures have one channel.
+    sensors
+        Number of sensors; a SENSOR packet for each after the first follows.
     given_world
         Whether the world frame is the input's own; otherwise it is the camera at frame 0.
     name
@@ -272,6 +287,43 @@ class StreamHeader(Header):
     grey: bool = key("g", flag(), default=False)
     given_world: bool = key("w", flag(), default=False)
     name: str = key("n", text(255), default="")
+    sensors: int = key("s", integer(1, MAX_SENSORS), default=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorHeader(Header):
+    """A further sensor of a stream; the first one is described by STREAM, whose fields of the same names mean the same.
+
+    Attributes
+    ----------
+    T_depth_base
+        First three rows of the transform from the depth camera of the first sensor to that of this one, row by row
+        (12 numbers); empty: identity.
+    start_ns, period_num, period_den
+        Clock of this sensor alone: k counts its own frames.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.SENSOR
+
+    color_camera: tuple[float, ...] = key("cc", camera())
+    depth_camera: tuple[float, ...] = key("dc", camera(optional=True), default=())
+    T_color_depth: tuple[float, ...] = key("tcd", extrinsic(), default=())
+    T_depth_base: tuple[float, ...] = key("tdb", extrinsic(), default=())
+    depth_scale: float = key("ds", number(1e-6, 1e9))
+    start_ns: int = key("t0", integer(-(1 << 63), (1 << 63) - 1), default=0)
+    period_num: int = key("pn", integer(1, 10**15))
+    period_den: int = key("pd", integer(1, 10**9), default=1)
+    grey: bool = key("g", flag(), default=False)
+    name: str = key("n", text(255), default="")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderHeader(Header):
+    """The sensors that take turns from `frame` on, until the next ORDER."""
+
+    packet_type: ClassVar[PacketType] = PacketType.ORDER
+
+    frame: int = key("f", integer(0, MAX_FRAME))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,6 +363,13 @@ class RunHeader(Header):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SensorRunHeader(RunHeader):
+    """Base of the headers that speak of `count` consecutive frames of one sensor from `frame` on."""
+
+    sensor: int = key("s", integer(0, MAX_SENSORS - 1), default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PartHeader(Header):
     """Base of the headers of what is told of one object before `frame` is drawn."""
 
@@ -340,15 +399,15 @@ class TextureHeader(PartHeader):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainHeader(RunHeader):
-    """Gains of the colour camera in `count` consecutive frames from `frame` on; the last one stays otherwise."""
+class GainHeader(SensorRunHeader):
+    """Gains of a colour camera in `count` of its frames from `frame` on; the last one stays otherwise."""
 
     packet_type: ClassVar[PacketType] = PacketType.GAIN
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShiftHeader(RunHeader):
-    """Where the depth camera of `count` frames from `frame` on stood when the colour picture was taken.
+class ShiftHeader(SensorRunHeader):
+    """Where the depth camera of `count` frames of a sensor from `frame` on stood when the colour picture was taken.
 
     Colour and depth are seldom taken at the same instant, nor a whole picture at one; the last shift stays otherwise.
     """
@@ -392,9 +451,10 @@ class LightHeader(PartHeader):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseHeader(RunHeader):
-    """Poses of `count` consecutive frames from `frame` on; an object keeps its last pose otherwise.
+    """Poses at `count` consecutive moments from `frame` on; an object keeps its last pose otherwise.
 
-    Object 0 carries T_camera_world, every other object T_world_object.
+    A moment is one frame, or those that several sensors took together. Object 0 carries T_camera_world, every other
+    object T_world_object.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.POSE
@@ -403,8 +463,8 @@ class PoseHeader(RunHeader):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClockHeader(RunHeader):
-    """Corrections in nanoseconds of the regular clock, for `count` frames from `frame` on."""
+class ClockHeader(SensorRunHeader):
+    """Corrections in nanoseconds of a sensor's regular clock, for `count` frames of its own from `frame` on."""
 
     packet_type: ClassVar[PacketType] = PacketType.CLOCK
 

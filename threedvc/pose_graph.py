@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from threedvc.pose import Pose, compose, inverse, make_pose, orthonormalised, rotation_from_vector, rotation_vector
 
-__all__ = ["Link", "optimised", "twist_of"]
+__all__ = ["Link", "adjoint", "optimised", "twist_of"]
 
 STEPS = 30
 GRADES = 12
@@ -90,7 +90,7 @@ def _add(link: Link, poses: Sequence[Pose], bound: float, matrix: Doubles, side:
     error = twist_of(T_first_world @ poses[link.second] @ inverse(link.T_first_second))
     squares = float(error @ link.information @ error)
     weighted = link.information * (1 + squares / bound**2) ** -2
-    slope = _adjoint(T_first_world)
+    slope = adjoint(T_first_world)
     block, pull = slope.T @ weighted @ slope, slope.T @ weighted @ error
     a, b = (slice(6 * k, 6 * k + 6) for k in (link.first, link.second))
     matrix[a, a] += block
@@ -101,7 +101,7 @@ def _add(link: Link, poses: Sequence[Pose], bound: float, matrix: Doubles, side:
     side[b] += pull
 
 
-def _adjoint(T: Pose) -> Doubles:
+def adjoint(T: Pose) -> Doubles:
     """Return what turns a small motion (turn, shift) in one frame into the same motion in another (6, 6)."""
     x, y, z = T[:3, 3]
     across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

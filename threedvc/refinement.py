@@ -8,22 +8,21 @@ What the decoder will draw is fitted to the pictures afterwards (`threedvc.finis
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.calibration import calibrate, sighting
-from threedvc.camera import CameraRig
-from threedvc.evidence_view import FrameViews, cast_view
-from threedvc.frame import FrameSequence
-from threedvc.motion import UNSEEN, Located, Script, pose_between, refined, refound
+from threedvc.evidence_view import cast_view
+from threedvc.frame import FrameSequence, SequenceInfo, moments, spread_step
+from threedvc.motion import UNSEEN, Located, Script, Sight, pose_between, refined, refound
 from threedvc.readout import read_surface
 from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
 
-__all__ = ["calibrated_rig", "depth_misfit", "mean_misfit", "misfit_frames", "refined_script"]
+__all__ = ["calibrated_info", "depth_misfit", "mean_misfit", "misfit_frames", "refined_script"]
 
 MISFIT_FRAMES = 60
 MISFIT_SCALE = 0.01
@@ -31,8 +30,8 @@ CALIBRATION_FRAMES = 40
 CALIBRATION_POINTS = 5000
 
 
-def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
-    """Calibrate the colour camera on the background; None where the present rig is as good.
+def calibrated_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
+    """Calibrate the colour cameras on the background; None where all present ones are as good.
 
     Objects that move before a camera at rest change their shade as they turn, which would be taken for
     a wrong camera.
@@ -41,15 +40,19 @@ def calibrated_rig(scene: Scene, frames: FrameSequence) -> CameraRig | None:
     surface = read_surface(item.evidence, scene.config.threads)
     points = np.asarray((surface.cells + 0.5) * item.evidence.voxel_size_m, dtype=np.float64)
     chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]
-    step = max(1, len(frames) // CALIBRATION_FRAMES)
-    sightings = []
-    for frame in range(0, len(frames), step):
-        at = item.found[frame]
-        if at is not None and at.usable:
-            sightings.append(
-                sighting(points[chosen], scene.limited(frames[frame]), at.T_camera_object, scene.info.rig.depth)
-            )
-    return calibrate(scene.info.rig, sightings)
+    found, rigs = [], scene.info.rigs
+    for sensor, rig in enumerate(rigs):
+        taken = [frame for frame in range(len(frames)) if scene.sensors[frame] == sensor]
+        sightings = []
+        for frame in taken[:: max(1, len(taken) // CALIBRATION_FRAMES)]:
+            at = item.found[frame]
+            if at is not None and at.usable:
+                T_camera_object = rig.at_sensor(at.T_camera_object)
+                sightings.append(sighting(points[chosen], scene.limited(frames[frame]), T_camera_object, rig.depth))
+        found.append(calibrate(rig, sightings))
+    if not any(found):
+        return None
+    return scene.info.with_rigs([better or rig for better, rig in zip(found, rigs, strict=True)])
 
 
 def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> Script:
@@ -58,17 +61,17 @@ def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConf
     One that was lost is looked for on the way between the frames before and after, and left there if it is not found.
     """
     script: Script = {number: [] for number in scene.objects}
-    for frame in map(scene.limited, frames):
-        labels = scene.labels(frame)
-        views = scene.views(frame)
+    for moment in moments(map(scene.limited, frames), scene.info):
+        looks = [(scene.views(frame), scene.labels(frame)) for frame in moment]
         for number, item in scene.objects.items():
-            script[number].append(_refined(scene, item, views, labels == number, script[number], config))
+            sights = [Sight(views, labels == number) for views, labels in looks]
+            script[number] += [_refined(scene, item, sights, script[number], config)] * len(moment)
     return script
 
 
 def misfit_frames(frames: FrameSequence) -> range:
     """Return the frames on which a misfit is measured."""
-    return range(0, len(frames), -(-len(frames) // MISFIT_FRAMES))
+    return range(0, len(frames), spread_step(len(frames), MISFIT_FRAMES, frames.info))
 
 
 def mean_misfit(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> float:
@@ -93,7 +96,8 @@ def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
         frame = scene.limited(frames[index])
         mask = scene.labels(frame) == 0
         form = scene.views(frame).form(mask)
-        view = cast_view(item.evidence, form, at.T_camera_object, scene.config.threads, exact=True)
+        T_camera_object = form.rig.at_sensor(at.T_camera_object)
+        view = cast_view(item.evidence, form, T_camera_object, scene.config.threads, exact=True)
         return view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
 
     found = ((index, item.found[index]) for index in misfit_frames(frames))
@@ -103,21 +107,21 @@ def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
 def _refined(
     scene: Scene,
     item: SceneObject,
-    views: FrameViews,
-    mask: np.ndarray[tuple[int, int], np.dtype[np.bool_]],
+    sights: Sequence[Sight],
     before: list[Located | None],
     config: RegistrationConfig | None,
 ) -> Located | None:
-    at = item.found[views.frame.index]
+    frame = sights[0].views.frame
+    at, sensors = item.found[frame.index], [scene.sensor_of(sight.views.frame.sensor) for sight in sights]
     if at is None or at.status == UNSEEN:
         return at
     if not at.usable:
-        between = pose_between(item.found, views.frame.index)
-        return refound(at, between, views, mask, item.evidence, scene.sensor, scene.config.threads)
-    if views.frame.index and before[-1] is not None:
-        previous = item.found[views.frame.index - 1]
+        between = pose_between(item.found, frame.index)
+        return refound(at, between, sights, item.evidence, sensors, scene.config.threads)
+    if frame.index and before[-1] is not None:
+        previous = item.found[frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):
             return replace(at, T_camera_object=before[-1].T_camera_object)
     if scene.is_given(item, at):
         return at
-    return refined(at, views, mask, item.evidence, scene.sensor, scene.config.threads, config)
+    return refined(at, sights, item.evidence, sensors, scene.config.threads, config)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,12 @@ from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.division import NOTHING, Division
+from threedvc.errors import ConfigError
 from threedvc.evidence_view import FrameViews, Thinned, cast_view
 from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
-from threedvc.motion import UNSEEN, Located, Tracker, known_pose, motion_of
+from threedvc.motion import UNSEEN, Located, Sight, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.rate_control import live_cell_factor
@@ -44,7 +45,7 @@ AWAY_M = 1000.0
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
-def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], info: SequenceInfo) -> float:
+def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], rig: CameraRig) -> float:
     """Choose a cell that covers about 4 pixels of a 640x480 picture at the depth that 3/4 of an object do not exceed.
 
     Small pictures get finer cells against their pixels; the size is rounded to a millimetre.
@@ -52,7 +53,16 @@ def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], info
     seen = depth[mask & (depth > 0)]
     distance = float(np.percentile(seen, 75)) if len(seen) else 1.0
     pixels = max(PIXELS_PER_CELL * float(np.sqrt(depth.size / REFERENCE_PIXELS)), MIN_PIXELS_PER_CELL)
-    return max(round(pixels * distance / info.rig.depth.fx, 3), 0.001)
+    return max(round(pixels * distance / rig.depth.fx, 3), 0.001)
+
+
+@dataclass(kw_only=True, eq=False)
+class _Look:
+    """A frame to be taken in: its forms, the objects' numbers (h, w), and what is fused."""
+
+    views: FrameViews
+    labels: NDArray[np.uint8]
+    seen: Observation
 
 
 class SceneObject:
@@ -67,7 +77,8 @@ class SceneObject:
     found
         Where it was found in every frame so far; None where it was not.
     poses
-        T_camera_object of every frame so far: an unseen object keeps its last pose, at first its first one.
+        T_camera_object before the base in every frame so far: an unseen object keeps its last pose, at first its
+        first one.
     born
         First frame in which it was found.
     """
@@ -82,17 +93,20 @@ class SceneObject:
         self.born: int | None = None
         self._last_sight = np.zeros(0, dtype=np.int64)
 
-    def locate(self, views: FrameViews, mask: NDArray[np.bool_], rig: CameraRig, alone: bool) -> Located | None:
-        """Find the object in a frame; None where it is not seen and its pose is not known."""
+    def locate(self, sights: Sequence[Sight], rigs: Sequence[CameraRig], alone: bool) -> Located | None:
+        """Find the object in the frames of a moment; None where it is not seen and its pose is not known."""
         if self.tracker is None:
-            pose = known_pose(self.number, views.frame, alone)
+            known = ((views.rig, known_pose(self.number, views.frame, alone)) for views, _ in sights)
+            pose = next((rig.at_base(pose) for rig, pose in known if pose is not None), None)
             return None if pose is None else Located(T_camera_object=pose, status="known")
-        if np.count_nonzero(mask & (views.frame.depth > 0)) < MIN_PIXELS:
+        seeing = [each for each in sights if np.count_nonzero(each.mask & (each.views.frame.depth > 0)) >= MIN_PIXELS]
+        if not seeing:
+            views = sights[0].views
             blind = self.number == 0 and self.born is not None and not views.frame.depth.any()
             return self.tracker.locate_by_picture(views) if blind else None
         if self.born is None:
-            return self.tracker.start(views, mask, self.number, rig)
-        return self.tracker.locate(views, mask, self.evidence)
+            return self.tracker.start(*seeing[0], self.number, *rigs)
+        return self.tracker.locate_together(seeing, self.evidence)
 
     def note_sight(self, numbers: NDArray[np.int64], frame: int) -> None:
         """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
@@ -145,8 +159,10 @@ class Scene:
     ----------
     distance_m
         Median depth of the first frame that has any.
+    sensors, together
+        For each frame, the sensor that took it, and whether it did so at the moment of the frame before.
     repeated
-        For each frame, whether it is a copy of the one before: it tells nothing new, and is not fused.
+        For each frame, whether it is a copy of the sensor's one before: it tells nothing new, and is not fused.
     gains
         For each frame, units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless
         the encoder is causal, for others fit them later.
@@ -163,18 +179,25 @@ class Scene:
     ) -> None:
         self.info, self.config = info, config
         self._script = script
+        if config.segmentation.mode is SegmentationMode.MOTION and info.sensors:
+            raise ConfigError(
+                "--segment motion divides the frames of one sensor; give masks or --segment depth:NEAR..FAR, or encode "
+                "the sensors apart"
+            )
         if division is None and config.segmentation.mode is SegmentationMode.MOTION:
             division = Division(info, config)
         self.division = division
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
+        self.sensors: list[int] = []
+        self.together: list[bool] = []
         self.repeated: list[bool] = []
         self.gains: list[NDArray[np.int64]] = []
         self.luma_weight = 1.0
-        self._before: Frame | None = None
-        self._thinned, self._full = Thinned(info.rig), Thinned(info.rig, 1)
-        self._rays = info.rig.depth.rays()
-        self._sensor: SensorModel | None = None
+        self._before: dict[int, Frame] = {}
+        self._thinned, self._full = [Thinned(rig) for rig in info.rigs], [Thinned(rig, 1) for rig in info.rigs]
+        self._rays = [rig.depth.rays() for rig in info.rigs]
+        self._noise: dict[int, SensorModel] = {}
         self._live_factor: float | None = None
         self.distance_m = 0.0
 
@@ -183,49 +206,63 @@ class Scene:
         """Entropy of all models."""
         return sum(item.entropy.bits for item in self.objects.values())
 
-    def add(self, frame: Frame) -> str:
-        """Take in one frame: segment, locate, fuse. Return the worst status of its objects.
+    def add(self, *frames: Frame) -> str:
+        """Take in the frames of one moment: segment, locate, fuse. Return the worst status of their objects.
 
         Raises
         ------
         SequenceError
-            If the frame does not fit the sequence.
+            If a frame does not fit the sequence.
         """
+        looks = [self._look(frame) for frame in frames]
+        worst = STATUS_ORDER[0]
+        numbers = {0, *self.objects}.union(*(np.unique(look.labels).tolist() for look in looks))
+        for number in sorted(numbers - {NOTHING} if self.division else numbers):
+            sights = [Sight(look.views, look.labels == number) for look in looks]
+            item = self._object(number, sights)
+            if item is None:
+                continue
+            script, first = self._script, looks[0].views.frame.index
+            found = self._located(item, sights) if script is None else script[number][first]
+            if found is not None and found.status != UNSEEN:
+                worst = max(worst, str(found.status), key=STATUS_ORDER.index)
+            for look, sight in zip(looks, sights, strict=True):
+                frame = look.views.frame
+                item.record(frame.index, found)
+                if found is not None and found.usable and not self.repeated[frame.index]:
+                    T_camera_object = look.views.rig.at_sensor(found.T_camera_object)
+                    if number == 0 and self.config.causal:
+                        look.seen = self._exposed(item, look.seen, sight.mask, T_camera_object)
+                    self._fuse(item, look.seen, sight.mask, T_camera_object, self.sensor_of(frame.sensor))
+        self.timestamps += [frame.timestamp_ns for frame in frames]
+        return worst
+
+    def _look(self, frame: Frame) -> _Look:
+        """Check a frame, and take in what does not depend on where objects are."""
         check_frame(frame, self.info)
         frame = self.limited(frame)
-        if self._sensor is None:
-            self._sensor = chosen_sensor(self.config.sensor, frame.depth)
+        if frame.sensor not in self._noise:
+            self._noise[frame.sensor] = chosen_sensor(self.config.sensor_of(frame.sensor), frame.depth)
             frame = self.limited(frame)
-        self.repeated.append(self._before is not None and _same_pictures(frame, self._before))
-        self._before = frame
-        sensor = self._sensor
+        self.sensors.append(frame.sensor)
+        self.together.append(frame.together)
+        before = self._before.get(frame.sensor)
+        self.repeated.append(before is not None and _same_pictures(frame, before))
+        self._before[frame.sensor] = frame
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
         labels = self.labels(frame)
         if self._live_factor is None:
             self._live_factor = self._rated_factor(frame, labels)
-        seen = observe(frame, self.info.rig, self._rays)
-        views = self.views(frame)
-        worst = STATUS_ORDER[0]
-        self.gains.append(self.gains[-1] if self.gains else NEUTRAL)
-        numbers = {0, *np.unique(labels).tolist(), *self.objects}
-        for number in sorted(numbers - {NOTHING} if self.division else numbers):
-            mask = labels == number
-            item = self._object(number, frame, mask, sensor)
-            if item is None:
-                continue
-            script = self._script
-            found = self._located(item, views, mask) if script is None else script[number][frame.index]
-            item.record(frame.index, found)
-            if found is not None:
-                if found.status != UNSEEN:
-                    worst = max(worst, str(found.status), key=STATUS_ORDER.index)
-                if found.usable and not self.repeated[-1]:
-                    if number == 0 and self.config.causal:
-                        seen = self._exposed(item, seen, mask, found.T_camera_object)
-                    self._fuse(item, seen, mask, found.T_camera_object, sensor)
-        self.timestamps.append(frame.timestamp_ns)
-        return worst
+        last = self.frame_before(len(self.gains))
+        self.gains.append(NEUTRAL if last is None else self.gains[last])
+        rig = self.info.rigs[frame.sensor]
+        return _Look(views=self.views(frame), labels=labels, seen=observe(frame, rig, self._rays[frame.sensor]))
+
+    def frame_before(self, frame: int) -> int | None:
+        """Return the frame before one of the frames so far that the same sensor took; None for its first."""
+        same = (k for k in range(frame - 1, -1, -1) if self.sensors[k] == self.sensors[frame])
+        return next(same, None)
 
     def labels(self, frame: Frame) -> NDArray[np.uint8]:
         """Return the objects' numbers (h, w) at the pixels of a frame's depth picture."""
@@ -239,13 +276,14 @@ class Scene:
     def _predicted_labels(self, frame: Frame) -> NDArray[np.uint8]:
         """Label a frame that has no mask by what the models show at the poses that are known or come next."""
         labels, depth = np.zeros(frame.depth.shape, dtype=np.uint8), frame.depth
-        gate = 4 * self.sensor.sigma_m(depth.astype(np.float64)) + PREDICTION_GATE * depth
+        form = self._full[frame.sensor]
+        gate = 4 * self.sensor_of(frame.sensor).sigma_m(depth.astype(np.float64)) + PREDICTION_GATE * depth
         nearest = np.full(depth.shape, np.inf)
         for number, item in self.objects.items():
             if not number or item.born is None:
                 continue
-            pose = self._expected(item, frame.index)
-            view = cast_view(item.evidence, self._full, pose, self.config.threads).depth
+            pose = form.rig.at_sensor(self._expected(item, frame.index))
+            view = cast_view(item.evidence, form, pose, self.config.threads).depth
             off = np.where(depth > 0, np.abs(depth - view), 0)
             mine = (view > 0) & (off <= gate) & (off < nearest)
             labels[mine], nearest[mine] = number, off[mine]
@@ -260,10 +298,14 @@ class Scene:
             return found.T_camera_object
         return predict(*item.poses[-2:]) if len(item.poses) > 1 else item.poses[-1]
 
-    def _located(self, item: SceneObject, views: FrameViews, mask: NDArray[np.bool_]) -> Located | None:
-        """Find an object in a frame; one that is out of sight stays in the background where it was, or is gone."""
+    def _located(self, item: SceneObject, sights: Sequence[Sight]) -> Located | None:
+        """Find an object in the frames of a moment.
+
+        One found by its motion that is out of sight stays in the background where it was, or is gone.
+        """
         if self.division is None or not item.number or item.born is None:
-            return item.locate(views, mask, self.info.rig, self._one_object)
+            return item.locate(sights, self.info.rigs, self._one_object)
+        views = sights[0].views
         last, world = item.poses[-1], self.objects[0].poses
         T_camera_object = last if np.array_equal(world[-1], world[-2]) else world[-1] @ inverse(world[-2]) @ last
         at = None
@@ -271,21 +313,20 @@ class Scene:
             if item.out_of_sight and item.tracker is not None:
                 guess = self.division.way(item.number, item.last_seen, views.frame.index)
                 item.tracker.resume(item.poses[item.last_seen] if guess is None else guess @ item.poses[item.last_seen])
-            at = item.locate(views, mask, self.info.rig, self._one_object)
+            at = item.locate(sights, self.info.rigs, self._one_object)
         if at is not None:
             return at
         if self.division.is_gone(item.number, views.frame) and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
             T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
         return Located(T_camera_object=T_camera_object, status=UNSEEN)
 
-    @property
-    def sensor(self) -> SensorModel:
-        """Noise of the depth: the one asked for, or guessed from the first frame."""
-        return self._sensor or SENSORS[Sensor.KINECT1]
+    def sensor_of(self, number: int) -> SensorModel:
+        """Return the noise of a sensor's depth: the one asked for, or guessed from its first frame."""
+        return self._noise.get(number) or SENSORS[Sensor.KINECT1]
 
     def views(self, frame: Frame) -> FrameViews:
         """Return the forms of a frame for registration."""
-        return FrameViews(frame, self._full, self._thinned)
+        return FrameViews(frame, self._full[frame.sensor], self._thinned[frame.sensor])
 
     def is_given(self, item: SceneObject, at: Located) -> bool:
         """Tell whether a pose is to be taken as it is.
@@ -315,19 +356,22 @@ class Scene:
 
         That is the one asked for, or else where the sensor is no longer good to 0.1 m.
         """
-        limit = self.config.max_depth_m or (self._sensor.reach_m if self._sensor else MAX_DEPTH_M)
+        sensor = self._noise.get(frame.sensor)
+        limit = self.config.max_depth_m or (sensor.reach_m if sensor else MAX_DEPTH_M)
         return replace(frame, depth=within(frame.depth, limit))
 
-    def _object(self, number: int, frame: Frame, mask: NDArray[np.bool_], sensor: SensorModel) -> SceneObject | None:
-        """Return an object, new where enough pixels show it for the first time."""
+    def _object(self, number: int, sights: Sequence[Sight]) -> SceneObject | None:
+        """Return an object, new where enough pixels of a frame show it for the first time."""
         if number in self.objects:
             return self.objects[number]
-        if number and np.count_nonzero(mask & (frame.depth > 0)) < MIN_PIXELS:
+        shown = [np.count_nonzero(mask & (views.frame.depth > 0)) for views, mask in sights]
+        views, mask = sights[int(np.argmax(shown))]
+        if number and max(shown) < MIN_PIXELS:
             return None
         tracked = not self._stands_still(number) and self._is_tracked(number)
         size = self.config.voxel_size_m
         if size is None:
-            size = default_voxel_size(frame.depth, mask, self.info)
+            size = default_voxel_size(views.frame.depth, mask, views.rig)
             if number == 0 and not tracked and not self.info.has_camera_poses and not self.config.causal:
                 size *= BACKDROP_CELLS
             size *= self.config.cell_factor * (self._live_factor or 1.0)
@@ -335,8 +379,9 @@ class Scene:
         tracker = None
         if tracked:
             tracker = Tracker(
-                sensor,
+                self.sensor_of(views.frame.sensor),
                 self.config.threads,
+                sensor_of=self.sensor_of,
                 lit_evenly=number == 0,
                 luma_weight=self.luma_weight,
                 patience=max(MIN_PATIENCE, round(self.info.fps)),
@@ -354,12 +399,12 @@ class Scene:
         rate = self.config.bitrate_bps
         if rate is None or not self.config.causal or not frame.depth.any():
             return 1.0
-        cells = 0.0
+        cells, rig = 0.0, self.info.rigs[frame.sensor]
         for number in np.unique(labels).tolist():
             mask = labels == number
-            pixel = frame.depth[mask] / self.info.rig.depth.fx
+            pixel = frame.depth[mask] / rig.depth.fx
             area = float(np.square(pixel, dtype=np.float64).sum())
-            cells += area / default_voxel_size(frame.depth, mask, self.info) ** 2
+            cells += area / default_voxel_size(frame.depth, mask, rig) ** 2
         return live_cell_factor(cells, rate / 8)
 
     def _stands_still(self, number: int) -> bool:
@@ -372,8 +417,9 @@ class Scene:
 
     def _exposed(self, background: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose) -> Observation:
         """Find the gain of a frame, and return the frame without it."""
-        self.gains[-1] = camera_gain(seen, mask, pose, background.evidence, self.gains[-1], self.info.grey)
-        return with_gain(seen, self.gains[-1])
+        gain = camera_gain(seen, mask, pose, background.evidence, self.gains[seen.frame], self.info.grey)
+        self.gains[seen.frame] = gain
+        return with_gain(seen, gain)
 
     def _fuse(
         self, item: SceneObject, seen: Observation, mask: NDArray[np.bool_], pose: Pose, sensor: SensorModel

@@ -32,9 +32,9 @@ from threedvc.formats.sources.text import read_json
 from threedvc.formats.sources.timestamps import regular_stamp
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.parallel import default_threads
-from threedvc.pose import Pose
+from threedvc.pose import Pose, inverse
 
-__all__ = ["PARTS", "PlainSink"]
+__all__ = ["PARTS", "PlainSink", "sensor_folder"]
 
 PARTS = frozenset({"color", "depth", "labels"})
 FOLDERS = {"color": "color", "depth": "depth", "labels": "masks"}
@@ -44,6 +44,11 @@ OWN_PICTURE = re.compile(r"\d{6,}\.png(\.part)?")
 WRITER = "3dvc"
 DEPTH_LIMIT = 65535
 PENDING_PER_THREAD = 4
+
+
+def sensor_folder(folder: Path, sensor: int) -> Path:
+    """Return where the frames of one of several sensors are written."""
+    return folder / f"sensor{sensor}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +70,12 @@ class PlainSink:
     folder
         Made if absent. An empty folder or an earlier output is filled anew; files of other names stay untouched.
     info
-        Cameras, depth scale, frame rate, and whether colour has one channel, of what is written.
+        Cameras, depth scale, frame rate, and whether colour has one channel, of what is written. Where the sensor is
+        mounted among others stands there only if `mounted`.
     what
         Which of `PARTS` to write; others are ignored when handed over.
+    mounted
+        Whether the sensor is one of several, so that ``intrinsics.json`` tells its pose on their mount.
     threads
         Threads that compress pictures; by default one per processor.
 
@@ -85,6 +93,7 @@ class PlainSink:
         info: SequenceInfo,
         *,
         what: Collection[str] = PARTS,
+        mounted: bool = False,
         threads: int | None = None,
     ) -> None:
         unknown = sorted(set(what) - PARTS)
@@ -92,7 +101,7 @@ class PlainSink:
             raise ConfigError(f"--what {','.join(unknown)}: choose from {','.join(sorted(PARTS))}")
         self._folder = Path(folder)
         self._info = info
-        self._what = frozenset(what)
+        self._what, self._mounted = frozenset(what), mounted
         self._threads = threads or default_threads()
         self._written: list[_Written] = []
         self._pending: deque[Future[None]] = deque()
@@ -284,6 +293,8 @@ class PlainSink:
                 "depth": _camera_entries(rig.depth),
                 "T_color_depth": rig.T_color_depth.tolist(),
             }
+        if self._mounted:
+            cameras["T_base_depth"] = inverse(rig.T_depth_base).tolist()
         content = {
             **cameras,
             "depth_scale": self._info.depth_scale,

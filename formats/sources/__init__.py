@@ -6,5 +6,6 @@ from __future__ import annotations
 from threedvc.formats.sources.opening import FrameRange, open_sequence
 from threedvc.formats.sources.registry import layout_names
 from threedvc.formats.sources.sequence import FolderSequence
+from threedvc.formats.sources.several import open_sensors
 
-__all__ = ["FolderSequence", "FrameRange", "layout_names", "open_sequence"]
+__all__ = ["FolderSequence", "FrameRange", "layout_names", "open_sensors", "open_sequence"]

@@ -16,6 +16,7 @@ from threedvc.formats.sources.images import read_header
 from threedvc.formats.sources.poses import rigid_poses
 from threedvc.formats.sources.recording import SourceOptions, resolved
 from threedvc.formats.sources.text import read_json, read_rows
+from threedvc.pose import Pose
 
 __all__ = ["CameraFile", "PictureSize", "find_cameras", "numbers_option", "published_camera", "read_intrinsics"]
 
@@ -27,11 +28,12 @@ REMEDY = "give --intrinsics FILE or fx,fy,cx,cy"
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFile:
-    """What an intrinsics file or option says: the cameras, and where it says so, depth scale and frame rate."""
+    """What an intrinsics file or option says: cameras, and where it says so, depth scale, frame rate, and mounting."""
 
     rig: CameraRig
     depth_scale: float | None = None
     fps: float | None = None
+    T_base_depth: Pose | None = None
 
 
 def find_cameras(
@@ -46,7 +48,8 @@ def find_cameras(
     pair
         The first colour and depth picture: their sizes complete what names no size.
     own_file
-        The intrinsics file of the recording, if it has one. It also completes the user's depth scale and frame rate.
+        The intrinsics file of the recording, if it has one. It also completes the user's depth scale, frame rate and
+        mounting.
     """
     color, depth = (read_header(path).size for path in pair)
     own = read_intrinsics(own_file, color, depth) if own_file else None
@@ -56,7 +59,10 @@ def find_cameras(
     given = read_intrinsics(path, color, depth) if path.is_file() else numbers_option(options.intrinsics, color, depth)
     if own is None:
         return given
-    return replace(given, depth_scale=given.depth_scale or own.depth_scale, fps=given.fps or own.fps)
+    mount = own.T_base_depth if given.T_base_depth is None else given.T_base_depth
+    return replace(
+        given, depth_scale=given.depth_scale or own.depth_scale, fps=given.fps or own.fps, T_base_depth=mount
+    )
 
 
 def published_camera(camera: Camera | None, pair: PicturePair) -> CameraFile:
@@ -100,9 +106,9 @@ def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> Camer
     Parameters
     ----------
     path
-        A ``.json`` file, in our form (`width, height, fx, fy, cx, cy`, optional `distortion`, `depth_scale`, `fps`;
-        or those under `color` and `depth`, with `T_color_depth`) or in Open3D's (`width, height`, column-major
-        `intrinsic_matrix`); or a text file with a 3x3 or 4x4 matrix.
+        A ``.json`` file, in our form (`width, height, fx, fy, cx, cy`, optional `distortion`, `depth_scale`, `fps`,
+        `T_base_depth`; or the cameras under `color` and `depth`, with `T_color_depth`) or in Open3D's
+        (`width, height`, column-major `intrinsic_matrix`); or a text file with a 3x3 or 4x4 matrix.
     color, depth
         Width and height of the first pictures, for files that do not say.
 
@@ -120,6 +126,7 @@ def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> Camer
         rig=_two_cameras(content, path) if "color" in content else _one_camera(content, path, color, depth),
         depth_scale=_optional_positive(content, "depth_scale", path),
         fps=_optional_positive(content, "fps", path),
+        T_base_depth=_transform(content, "T_base_depth", path),
     )
 
 
@@ -135,17 +142,23 @@ def _one_camera(content: Mapping[str, object], path: Path, color: PictureSize, d
 
 
 def _two_cameras(content: Mapping[str, object], path: Path) -> CameraRig:
-    extrinsic = np.eye(4)
-    if "T_color_depth" in content:
-        try:
-            extrinsic = np.array(content["T_color_depth"], dtype=np.float64).reshape(4, 4)
-        except (TypeError, ValueError):
-            raise SequenceError(f"{path}: T_color_depth is not a 4x4 matrix of numbers; correct the file") from None
+    extrinsic = _transform(content, "T_color_depth", path)
     return CameraRig(
         color=_camera_entry(_mapping(content, "color", path), path, "color."),
         depth=_camera_entry(_mapping(content, "depth", path), path, "depth."),
-        T_color_depth=rigid_poses(extrinsic[None], [f"{path}: T_color_depth"])[0],
+        T_color_depth=np.eye(4) if extrinsic is None else extrinsic,
     )
+
+
+def _transform(content: Mapping[str, object], name: str, path: Path) -> Pose | None:
+    if name not in content:
+        return None
+    try:
+        matrix = np.array(content[name], dtype=np.float64).reshape(4, 4)
+    except (TypeError, ValueError):
+        raise SequenceError(f"{path}: {name} is not a 4x4 matrix of numbers; correct the file") from None
+    pose: Pose = rigid_poses(matrix[None], [f"{path}: {name}"])[0]
+    return pose
 
 
 def _camera_entry(content: Mapping[str, object], path: Path, prefix: str) -> Camera:

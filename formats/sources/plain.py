@@ -74,6 +74,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         rig=cameras.rig,
         depth_scale=options.depth_scale or cameras.depth_scale or MILLIMETRES,
         fps=fps,
+        T_base_depth=cameras.T_base_depth,
     )
 
 

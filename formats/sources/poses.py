@@ -19,7 +19,15 @@ from threedvc.formats.sources.text import Row, read_rows
 from threedvc.frame import NANOSECONDS
 from threedvc.pose import Pose, make_pose, rotation_from_quaternion, rotation_from_vector, rotation_vector
 
-__all__ = ["PoseArray", "interpolate_pose", "pose_from_row", "read_matrix", "read_trajectory_log", "rigid_poses"]
+__all__ = [
+    "PoseArray",
+    "interpolate_pose",
+    "pose_from_numbers",
+    "pose_from_row",
+    "read_matrix",
+    "read_trajectory_log",
+    "rigid_poses",
+]
 
 PoseArray = NDArray[np.float64]
 
@@ -65,10 +73,15 @@ def pose_from_row(row: Row) -> Pose:
         raise SequenceError(
             f"{row.place}: {len(row.fields)} fields, expected 8 (key tx ty tz qx qy qz qw); correct the line"
         )
-    values = np.array(row.floats(start=1))
+    return pose_from_numbers(row.floats(start=1), row.place)
+
+
+def pose_from_numbers(numbers: Sequence[float], place: str) -> Pose:
+    """Turn ``tx ty tz qx qy qz qw`` (metres) into a pose; raises SequenceError that names the place."""
+    values = np.array(numbers)
     length = float(np.linalg.norm(values[3:]))
-    if abs(length - 1) > UNIT_TOLERANCE:
-        raise _bad_pose(row.place, f"has a quaternion of length {length:.4g} instead of 1")
+    if not abs(length - 1) <= UNIT_TOLERANCE or not np.all(np.isfinite(values)):
+        raise _bad_pose(place, f"has a quaternion of length {length:.4g} instead of 1")
     return make_pose(rotation_from_quaternion(values[3:]), values[:3])
 
 

@@ -84,6 +84,8 @@ class Recording:
         Nominal frame rate.
     invalid_depth
         Raw depth value that means "no measurement" besides 0, or None.
+    T_base_depth
+        Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told.
     """
 
     folder: Path
@@ -92,6 +94,7 @@ class Recording:
     depth_scale: float
     fps: float
     invalid_depth: int | None = None
+    T_base_depth: Pose | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

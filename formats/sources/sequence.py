@@ -19,6 +19,7 @@ from threedvc.formats.sources.images import PictureHeader, read_color, read_dept
 from threedvc.formats.sources.intrinsics import REMEDY
 from threedvc.formats.sources.recording import FrameFiles, Recording
 from threedvc.frame import Frame, SequenceInfo
+from threedvc.pose import Pose
 
 __all__ = ["FolderSequence"]
 
@@ -74,6 +75,15 @@ class FolderSequence:
     def info(self) -> SequenceInfo:
         """What holds for every frame; camera poses count only where every frame has one, masks where the first has."""
         return self._info
+
+    @property
+    def T_base_depth(self) -> Pose | None:
+        """Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told."""
+        return self._recording.T_base_depth
+
+    def facts(self) -> Sequence[FrameFiles]:
+        """Return what is known of each frame without a look at its pictures."""
+        return self._recording.frames
 
     def __len__(self) -> int:
         return len(self._recording.frames)

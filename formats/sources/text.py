@@ -10,7 +10,7 @@ from pathlib import Path
 
 from threedvc.errors import SequenceError
 
-__all__ = ["Row", "read_json", "read_rows", "read_text"]
+__all__ = ["Row", "read_json", "read_json_value", "read_rows", "read_text"]
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,16 @@ def read_rows(path: Path) -> list[Row]:
 
 def read_json(path: Path) -> dict[str, object]:
     """Read a JSON file that holds one object; raises SequenceError."""
-    try:
-        content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise SequenceError(f"{path}:{error.lineno}: is not valid JSON ({error.msg}); correct the file") from None
+    content = read_json_value(path)
     if not isinstance(content, dict):
         raise SequenceError(f"{path}: holds a JSON {type(content).__name__}, expected an object with named values")
+    return content
+
+
+def read_json_value(path: Path) -> object:
+    """Read a JSON file; raises SequenceError."""
+    try:
+        content: object = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise SequenceError(f"{path}:{error.lineno}: is not valid JSON ({error.msg}); correct the file") from None
     return content

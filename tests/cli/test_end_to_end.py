@@ -98,3 +98,84 @@ def test_cut_stream(place: Path) -> None:
     assert result.exit_code == 1
     assert result.stderr.endswith(f"; 6 frames were decoded into {place / 'cut'}\n")
     assert json.loads(run("stats", cut, "--json").stdout)["complete"] is False
+
+
+@pytest.fixture(scope="module")
+def mounted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make recordings of two sensors and a stream of both."""
+    folder = tmp_path_factory.mktemp("mounted")
+    options = ("--scene", "room", "--frames", "4", "--size", "64x48")
+    assert run("synth", folder / "room", *options, "--sensors", "2").exit_code == 0
+    left, right = folder / "room" / "sensor0", folder / "room" / "sensor1"
+    options = ("--voxel-size", "5cm", "--preset", "fast", "--verify")
+    result = run("encode", "--input", left, "--input", right, folder / "a.3dvc", *options)
+    assert result.exit_code == 0, result.stderr
+    return folder
+
+
+def test_several_sensors_come_back(mounted: Path) -> None:
+    room = mounted / "room"
+    assert run("decode", mounted / "a.3dvc", mounted / "out").exit_code == 0
+    for name in ("sensor0", "sensor1"):
+        assert len(list((mounted / "out" / name / "color").iterdir())) == 4
+        cameras = [json.loads((parent / name / "intrinsics.json").read_text()) for parent in (room, mounted / "out")]
+        np.testing.assert_allclose(cameras[1]["T_base_depth"], cameras[0]["T_base_depth"], atol=1e-12)
+        poses = [np.loadtxt(parent / name / "poses.txt") for parent in (room, mounted / "out")]
+        np.testing.assert_allclose(poses[1], poses[0], atol=0.01)
+    references = [part for name in ("sensor0", "sensor1") for part in ("--reference", room / name)]
+    values = json.loads(run("stats", mounted / "a.3dvc", *references, "--json").stdout)
+    assert [(sensor["name"], sensor["frames"]) for sensor in values["sensors"]] == [("sensor0", 4), ("sensor1", 4)]
+    assert values["quality"]["depth_within_1pct"] > 0.5
+    assert run("encode", mounted / "out" / "sensor0", mounted / "out" / "sensor1", mounted / "b.3dvc").exit_code == 0
+
+
+def test_one_of_several_sensors(mounted: Path) -> None:
+    assert run("decode", mounted / "a.3dvc", mounted / "right", "--sensor", "1", "--frames", "1:3").exit_code == 0
+    assert sorted(path.name for path in (mounted / "right" / "color").iterdir()) == ["000001.png", "000002.png"]
+    assert "sensor1" not in [path.name for path in (mounted / "right").iterdir()]
+    result = run("decode", mounted / "a.3dvc", mounted / "none", "--sensor", "2")
+    assert result.stderr == f"Error: {mounted / 'a.3dvc'}: has no sensor 2; choose from 0 to 1\n"
+
+
+def test_extrinsics_in_every_form(mounted: Path, tmp_path: Path) -> None:
+    left, right = (mounted / "room" / name for name in ("sensor0", "sensor1"))
+    T = np.array(json.loads((right / "intrinsics.json").read_text())["T_base_depth"])
+    (tmp_path / "T.txt").write_text("\n".join(" ".join(map(str, row)) for row in T))
+    (tmp_path / "T.json").write_text(json.dumps(T.tolist()))
+    for form in (
+        tmp_path / "T.txt",
+        tmp_path / "T.json",
+        right / "intrinsics.json",
+        "0.12,0,0,0,0.2955202,0,0.9553365",
+    ):
+        result = run("encode", left, tmp_path / "a.3dvc", "--input", right, "--extrinsics", form, "--voxel-size", "5cm",
+                     "--preset", "live")  # fmt: skip
+        assert result.exit_code == 0, result.stderr
+        run("decode", tmp_path / "a.3dvc", tmp_path / "out")
+        found = json.loads((tmp_path / "out" / "sensor1" / "intrinsics.json").read_text())["T_base_depth"]
+        np.testing.assert_allclose(found, T, atol=1e-6)
+
+
+def test_wrong_extrinsics(mounted: Path, place: Path, tmp_path: Path) -> None:
+    left, right = (mounted / "room" / name for name in ("sensor0", "sensor1"))
+    for folders, options, message in (
+        ([left, place / "toys"], [], f"{place / 'toys'}: does not tell how its sensor is mounted; give --"),
+        ([left, right], ["--extrinsics", "1,2,3"], "--extrinsics 1,2,3: neither a file nor seven numbers; give a file"),
+        ([left, right], ["--extrinsics", "0,0,0,0,0,0,2"], "--extrinsics 0,0,0,0,0,0,2: pose has a quaternion"),
+        ([left, right], 2 * ["--extrinsics", "0,0,0,0,0,0,1"], "--extrinsics is given 2 times for 2 sensors"),
+        ([left, right], 3 * ["--fps", "30"], "--fps is given 3 times for 2 sensors; give it once or for each of them"),
+        ([left, right], ["--segment", "motion"], "--segment motion divides the frames of one sensor; give masks or"),
+    ):  # fmt: skip
+        result = run("encode", *folders, tmp_path / "a.3dvc", *options)
+        assert result.exit_code == 1
+        assert result.stderr.startswith(f"Error: {message}"), result.stderr
+        assert not (tmp_path / "a.3dvc").exists()
+
+
+def test_options_of_sensors_that_are_not_there(place: Path, tmp_path: Path) -> None:
+    for options in (["--fps", "10", "--fps", "20"], ["--extrinsics", "0,0,0,0,0,0,1"], ["--sensor", "ideal"] * 2):
+        result = CliRunner().invoke(main, ["encode", str(place / "toys"), str(tmp_path / "a.3dvc"), *options])
+        assert result.exit_code == 2
+    result = CliRunner().invoke(main, ["encode", str(tmp_path / "a.3dvc")])
+    assert result.exit_code == 2
+    assert "no INPUT; name the folder of RGB-D frames, then OUTPUT.3dvc" in result.stderr

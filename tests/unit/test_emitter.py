@@ -48,13 +48,23 @@ def scene_of(
     }
     times = [START_NS + round(frame * 1e9 / 30) for frame in range(frames)] if times is None else times
     gains = [NEUTRAL] * len(times)
-    return cast(Scene, SimpleNamespace(distance_m=1.0, info=INFO, objects=objects, timestamps=list(times), gains=gains))
+    sensors, together = [0] * len(times), [False] * len(times)
+    scene = SimpleNamespace(
+        distance_m=1.0,
+        info=INFO,
+        objects=objects,
+        timestamps=list(times),
+        gains=gains,
+        sensors=sensors,
+        together=together,
+    )
+    return cast(Scene, scene)
 
 
 def emitted(scene: Scene, group: int = 10, config: EncoderConfig | None = None) -> list[Packet]:
     emitter, frames = Emitter(scene, config or EncoderConfig(pose=STEPS)), len(scene.timestamps)
     batches = (emitter.group(k, min(k + group, frames), [], last=k + group >= frames) for k in range(0, frames, group))
-    packets = [emitter.stream(), *(batch for batch in batches if batch is not None)]
+    packets = [*emitter.head(), *(batch for batch in batches if batch is not None)]
     return [*packets, emitter.end()]
 
 
@@ -239,7 +249,7 @@ def test_reports_travel_with_the_batch() -> None:
     batch = emitter.group(0, 4, told, last=True)
     assert batch is not None
     decoder = Decoder()
-    list(decoder.frames([emitter.stream(), batch, emitter.end()]))
+    list(decoder.frames([*emitter.head(), batch, emitter.end()]))
     assert decoder.report.entropy_bits == (64.0,) * 4
 
 
@@ -249,6 +259,6 @@ def test_the_nominal_clock_is_that_of_the_frame_rate(fps: float) -> None:
     scene.info = SequenceInfo(name="clock", rig=RIG, depth_scale=1000.0, fps=fps, frame_count=None)
     times = [
         state.timestamp_ns
-        for state in decoded([Emitter(scene, EncoderConfig()).stream(), Emitter(scene, EncoderConfig()).end()])
+        for state in decoded([*Emitter(scene, EncoderConfig()).head(), Emitter(scene, EncoderConfig()).end()])
     ]
     np.testing.assert_allclose(np.diff(times), 1e9 / fps, atol=1, rtol=1e-6)

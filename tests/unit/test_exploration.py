@@ -24,7 +24,7 @@ from threedvc.config import (
     SegmentationMode,
     Sensor,
 )
-from threedvc.decoder import Decoder, FrameState, rig_of
+from threedvc.decoder import Decoder, FrameState
 from threedvc.entropy_field import EntropyField
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.exploration import Sight, Target, draw_frames, propose, targets_of, thinned
@@ -238,7 +238,7 @@ class TestChoices:
 
     def test_no_surface(self) -> None:
         with pytest.raises(SequenceError, match="no frame shows a surface, so there is nothing to explore"):
-            targets_of({}, CameraRig.registered_to(CAMERA), [], CHOICES)
+            targets_of({}, [CameraRig.registered_to(CAMERA)], [], CHOICES)
 
 
 # What follows encodes: a part is recorded, advice is followed, and what that brought is measured.
@@ -280,7 +280,7 @@ def toy_from(path: Poses) -> tuple[Decoder, list[FrameState]]:
 
 def target_in(decoder: Decoder, states: list[FrameState], number: int) -> Target:
     assert decoder.header is not None
-    targets = targets_of(decoder.models, rig_of(decoder.header), states, CHOICES)
+    targets = targets_of(decoder.models, decoder.rigs, states, CHOICES)
     assert [target.number for target in targets] == [number]
     return targets[0]
 
@@ -289,7 +289,7 @@ def entropy_left(decoder: Decoder, states: list[FrameState]) -> float:
     """Return the entropy of the inside of the whole room, in cells that are always the same ones."""
     assert decoder.header is not None
     field = EntropyField(np.array([-2.3, -2.2, -0.1]), np.array([2.3, 2.0, 2.6]), finest_m=0.1, half_m=0.5)
-    for frame in draw_frames(decoder.models, rig_of(decoder.header), states, 2):
+    for frame in draw_frames(decoder.models, decoder.rigs, states, 2):
         T_camera_world = inverse(frame.state.T_world_camera)
         field.observe(frame.depth, frame.depth > 0, frame.camera, T_camera_world, SENSORS[Sensor.IDEAL])
     return field.bits

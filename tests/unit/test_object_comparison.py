@@ -43,8 +43,8 @@ def compared(
     color, depth = np.zeros((*SHAPE, 3), dtype=np.uint8), np.ones(SHAPE, dtype=np.float32)
     for index, (labels, mask) in enumerate(zip(drawn, masks, strict=True)):
         decoded = DecodedFrame(
-            index=index, timestamp_ns=index, color=color, depth=depth, labels=labels, T_world_camera=np.eye(4),
-            T_camera_object=dict(found[index]) if found else {},
+            index=index, sensor=0, number=index, timestamp_ns=index, color=color, depth=depth, labels=labels,
+            T_world_camera=np.eye(4), T_camera_object=dict(found[index]) if found else {},
         )  # fmt: skip
         given = Frame(
             index=index, timestamp_ns=index, color=color, depth=depth, mask=mask,

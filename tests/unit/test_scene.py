@@ -202,7 +202,7 @@ def whole(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
 def test_the_default_cell_follows_distance_and_picture() -> None:
     large = replace(INFO, rig=CameraRig.registered_to(CAMERA.resized(640, 480)))
     near, far = (np.full((480, 640), z, dtype=np.float32) for z in (1.0, 3.0))
-    one, three = default_voxel_size(near, whole(near), large), default_voxel_size(far, whole(far), large)
+    one, three = (default_voxel_size(depth, whole(depth), large.rig) for depth in (near, far))
     # Four pixels of a 640x480 picture; a pixel spans z / fx.
     assert one == pytest.approx(4.0 * 1.0 / large.rig.depth.fx, abs=0.0006)
     assert three == pytest.approx(3 * one, abs=0.0016)
@@ -212,11 +212,11 @@ def test_the_default_cell_follows_distance_and_picture() -> None:
 def test_the_default_cell_is_that_of_the_object() -> None:
     picture = frame(0)
     box = picture.mask == 3
-    assert default_voxel_size(picture.depth, box, INFO) < default_voxel_size(picture.depth, ~box, INFO)
+    assert default_voxel_size(picture.depth, box, INFO.rig) < default_voxel_size(picture.depth, ~box, INFO.rig)
     nothing = np.zeros_like(picture.depth)
-    assert default_voxel_size(nothing, whole(nothing), INFO) > 0
+    assert default_voxel_size(nothing, whole(nothing), INFO.rig) > 0
     close = np.full_like(picture.depth, 0.001)
-    assert default_voxel_size(close, whole(close), INFO) == 0.001
+    assert default_voxel_size(close, whole(close), INFO.rig) == 0.001
 
 
 def test_sensor_is_guessed_once_or_given() -> None:
@@ -225,11 +225,11 @@ def test_sensor_is_guessed_once_or_given() -> None:
     smooth.add(frame(0))
     rough = frame(0, boxed=False)
     noisy.add(replace(rough, depth=(rough.depth + rng.normal(0, 0.01, rough.depth.shape)).astype(np.float32)))
-    assert smooth.sensor.sigma_m(2.0) < noisy.sensor.sigma_m(2.0)
-    before = smooth.sensor
+    assert smooth.sensor_of(0).sigma_m(2.0) < noisy.sensor_of(0).sigma_m(2.0)
+    before = smooth.sensor_of(0)
     smooth.add(replace(frame(1), depth=(frame(1).depth + rng.normal(0, 0.01, rough.depth.shape)).astype(np.float32)))
-    assert smooth.sensor is before
-    assert Scene(INFO, config()).sensor.sigma_m(2.0) > 0
+    assert smooth.sensor_of(0) is before
+    assert Scene(INFO, config()).sensor_of(0).sigma_m(2.0) > 0
 
 
 def test_what_was_not_in_the_field_of_view_lately_is_out_of_sight() -> None:

@@ -96,6 +96,9 @@ def state(index: int, T_world_camera: Pose, T_world_object: Mapping[int, Pose]) 
     return FrameState(
         index=index,
         timestamp_ns=index,
+        sensor=0,
+        number=index,
+        together=False,
         T_world_camera=T_world_camera,
         T_camera_object={0: T_camera_world} | {n: T_camera_world @ pose for n, pose in T_world_object.items()},
         T_shifted_camera=np.eye(4),

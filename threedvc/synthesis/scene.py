@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +100,10 @@ class Scene:
     def frame_count(self) -> int:
         """Number of frames."""
         return len(self.T_world_camera)
+
+    def seen_from(self, T_camera_sensor: Pose) -> Scene:
+        """Return what another sensor sees that is mounted on the camera at a pose of its depth camera."""
+        return replace(self, T_world_camera=self.T_world_camera @ T_camera_sensor)
 
     def object_poses(self, index: int) -> dict[int, Pose]:
         """Return T_camera_object of every body by its label, in the depth camera."""

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from threedvc.errors import ConfigError
 from threedvc.frame import NANOSECONDS, Frame, SequenceInfo
+from threedvc.pose import Pose, make_pose, rotation_from_vector
 from threedvc.synthesis.noise import KINECT_PROJECTOR_M, Noise, kinect_depth, quantised_depth
 from threedvc.synthesis.renderer import Picture, SceneRenderer
 from threedvc.synthesis.scene import Scene
 
-__all__ = ["SyntheticSequence"]
+__all__ = ["SyntheticSequence", "mounted_sequences"]
 
 DEPTH_SCALE = 1000.0
+SENSOR_TURN_RAD, SENSOR_SHIFT_M = 0.6, 0.12
+"""How each sensor of several is mounted to the right of the one before."""
 
 
 class SyntheticSequence:
@@ -106,3 +109,25 @@ class SyntheticSequence:
             return picture.depth
         hidden = self._renderer.hidden_from(index, picture.depth, np.array(KINECT_PROJECTOR_M))
         return kinect_depth(picture.depth, hidden, np.random.default_rng([self._seed, index]))
+
+
+def mounted_sequences(
+    scene: Scene, count: int, noise: Noise | str = Noise.IDEAL, seed: int = 0, threads: int | None = None
+) -> list[tuple[SyntheticSequence, Pose]]:
+    """Return what several sensors that are mounted together see of a scene, and the pose T_first_sensor of each.
+
+    They stand side by side and look more and more to the right. The parameters are those of `SyntheticSequence`.
+
+    Raises
+    ------
+    ConfigError
+        If there is to be no sensor, or as `SyntheticSequence` does.
+    """
+    if count < 1:
+        raise ConfigError(f"number of sensors {count} must be at least 1")
+    result = []
+    for number in range(count):
+        turn = rotation_from_vector(np.array([0.0, SENSOR_TURN_RAD * number, 0.0]))
+        T = make_pose(turn, np.array([SENSOR_SHIFT_M * number, 0.0, 0.0]))
+        result.append((SyntheticSequence(scene.seen_from(T), noise, seed + number, threads), T))
+    return result
