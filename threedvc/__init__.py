@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from threedvc.config import EncoderConfig, ExplorationConfig, RenderConfig
     from threedvc.formats.api import decode, encode, open_stream
     from threedvc.formats.exploration import explore
+    from threedvc.formats.sources import open_sensors, open_sequence
     from threedvc.formats.statistics import statistics
 
 __all__ = [
@@ -50,6 +51,8 @@ __all__ = [
     "decode",
     "encode",
     "explore",
+    "open_sensors",
+    "open_sequence",
     "open_stream",
     "statistics",
 ]
@@ -61,6 +64,8 @@ _HOMES = {
     "decode": "threedvc.formats.api",
     "encode": "threedvc.formats.api",
     "explore": "threedvc.formats.exploration",
+    "open_sensors": "threedvc.formats.sources",
+    "open_sequence": "threedvc.formats.sources",
     "open_stream": "threedvc.formats.api",
     "statistics": "threedvc.formats.statistics",
 }

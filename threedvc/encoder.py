@@ -121,6 +121,8 @@ class Encoder:
         self._fuse_all(frames, on_frame)
         if again and self.config.refine:
             self._join_parts(cast(FrameSequence, frames), on_frame)
+        if again:
+            self._settle(cast(FrameSequence, frames), on_frame)
         self._check_focus()
         finished = None
         if again:
@@ -237,6 +239,17 @@ class Encoder:
             script = {number: joined_parts(item.found, bridges.get(number, {})) for number, item in items}
             self._fuse_again(frames, on_frame, script)
 
+    def _settle(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Let a camera that was tracked and hardly moved stand still."""
+        background = self.scene.objects[0]
+        if background.stayed or not self.scene.hardly_moves(0):
+            return
+        first = next(at.T_camera_object for at in background.found if at is not None and at.usable)
+        script = {number: item.found for number, item in self.scene.objects.items()}
+        self._fuse_again(
+            frames, on_frame, script | {0: [at and replace(at, T_camera_object=first) for at in background.found]}
+        )
+
     def _calibrate(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
         """Calibrate the colour cameras, and find all poses once more with what is then known.
 
@@ -253,6 +266,7 @@ class Encoder:
             self.scene = Scene(self.info, self.config, None, self.scene.division)
             self._fuse_all(frames, on_frame)
             self._join_parts(frames, on_frame)
+            self._settle(frames, on_frame)
         script = refined_script(self.scene, frames, TO_DEPTH if tracked and info is not None else None)
         self._fuse_again(frames, on_frame, script)
 

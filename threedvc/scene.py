@@ -20,7 +20,7 @@ from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
 from threedvc.motion import UNSEEN, Located, Sight, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
-from threedvc.pose import Pose, identity, inverse, make_pose
+from threedvc.pose import Pose, identity, inverse, make_pose, rotation_angle
 from threedvc.rate_control import live_cell_factor
 from threedvc.registration_starts import predict
 from threedvc.segmentation import resolved_mode, segment
@@ -40,6 +40,8 @@ SIGHT_FRAMES = 5
 MIN_PATIENCE = 5
 """Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
 PREDICTION_GATE = 0.03
+REST_PIXELS = 0.5
+"""A camera that is tracked and never goes further than this stands still, and trembles by the noise of its depth."""
 AWAY_M = 1000.0
 """Where an object is put that left: so far behind the camera that nobody will see it."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
@@ -91,6 +93,7 @@ class SceneObject:
         self.found: list[Located | None] = []
         self.poses: list[Pose] = []
         self.born: int | None = None
+        self._stayed = 0, True
         self._last_sight = np.zeros(0, dtype=np.int64)
 
     def locate(self, sights: Sequence[Sight], rigs: Sequence[CameraRig], alone: bool) -> Located | None:
@@ -118,6 +121,14 @@ class SceneObject:
     def in_sight(self) -> NDArray[np.bool_]:
         """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
         return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
+
+    @property
+    def stayed(self) -> bool:
+        """Whether it was found at one place only."""
+        if self._stayed[0] != len(self.found):
+            usable = [at.T_camera_object for at in self.found if at is not None and at.usable]
+            self._stayed = len(self.found), all(np.array_equal(pose, usable[0]) for pose in usable)
+        return self._stayed[1]
 
     @property
     def last_seen(self) -> int:
@@ -333,9 +344,20 @@ class Scene:
 
         Poses of a hand-held camera are worth refining. Those of labelled objects are not: given ones are made
         on purpose, tracked ones would follow the shades of the model's colours. A background without camera
-        poses stands still.
+        poses stands still, and so does one that was tracked and never moved.
         """
-        return item.number > 0 or (at.status == "known" and not self.info.has_camera_poses)
+        if item.number > 0 or (at.status == "known" and not self.info.has_camera_poses):
+            return True
+        return at.status != "known" and item.stayed
+
+    def hardly_moves(self, number: int) -> bool:
+        """Tell whether all poses at which an object was tracked lie within half a pixel of the first one."""
+        item = self.objects[number]
+        tracked = [at.T_camera_object for at in item.found if at is not None and at.usable]
+        if item.tracker is None or not tracked:
+            return False
+        focal = max(rig.depth.fx for rig in self.info.rigs)
+        return all(_displacement(inverse(tracked[0]) @ pose, self.distance_m) * focal < REST_PIXELS for pose in tracked)
 
     def may_move(self, number: int) -> bool:
         """Tell whether the poses of an object are worth refining in some frame."""
@@ -427,6 +449,11 @@ class Scene:
         numbers = fuse(item.evidence, seen, mask, pose, sensor, self.config.fusion, self.config.threads)
         item.entropy.update(numbers, self.config.threads)
         item.note_sight(numbers, seen.frame)
+
+
+def _displacement(T: Pose, distance_m: float) -> float:
+    """Return by how much a motion displaces what lies at a distance at most, in slopes."""
+    return rotation_angle(T) + float(np.linalg.norm(T[:3, 3])) / max(distance_m, 1e-6)
 
 
 def _same_pictures(one: Frame, other: Frame) -> bool:

@@ -73,6 +73,12 @@ def decoded(packets: Iterable[Packet]) -> tuple[Decoder, list[FrameState]]:
     return decoder, list(decoder.frames(packets))
 
 
+def pose_headers(packets: Sequence[Packet]) -> list[PoseHeader]:
+    """Return the headers of all POSE packets."""
+    every = (member for group in batches(packets).values() for member in group)
+    return [PoseHeader.from_map(member.header) for member in every if member.type == PacketType.POSE]
+
+
 def batches(packets: Sequence[Packet]) -> dict[int, list[Packet]]:
     """Return the members of every batch by its first frame."""
     return {
@@ -478,3 +484,26 @@ def test_live_a_rest_costs_next_to_nothing() -> None:
     assert sum(1 for _ in decoder.frames(rested)) == FRAMES + 330
     assert decoder.report is not None
     assert len(decoder.report.status) == FRAMES + 330
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_tracked_camera_that_only_trembles_stands_still(refine: bool) -> None:
+    rng = np.random.default_rng(5)
+    still = [
+        replace(frame, depth=(frame.depth * (1 + rng.normal(0, 0.004, frame.depth.shape))).astype(np.float32))
+        for frame in [scene("room")[0]] * 6
+    ]
+    frames = [
+        replace(frame, index=k, timestamp_ns=k * 33_333_333, T_world_camera=None) for k, frame in enumerate(still)
+    ]
+    info = replace(scene("room").info, has_camera_poses=False, frame_count=len(frames))
+    settings = config(motion=Motion.TRACK, sensor=Sensor.KINECT1, refine=refine)
+    encoder, packets = encoded(ListSequence(frames, info), settings)
+    assert encoder.scene.at_rest(0)
+    assert not pose_headers(packets)
+
+
+def test_a_tracked_camera_that_moves_does_not_rest() -> None:
+    encoder, packets = encoded(scene("room"), config(motion=Motion.TRACK))
+    assert not encoder.scene.at_rest(0)
+    assert pose_headers(packets)
