@@ -179,7 +179,7 @@ def config_of(options: str) -> EncoderConfig:
         voxel_size_m=chosen["voxel_size"],
         max_depth_m=chosen["max_depth"],
         motion=Motion(chosen["motion"]),
-        sensor=Sensor(chosen["sensor"]),
+        sensor=Sensor(*chosen["sensor"] or ["auto"]),
         segmentation=chosen["segment"],
     )
 

@@ -38,12 +38,15 @@ from threedvc.packets import (
 from threedvc.wire import pack_varint
 
 Rows = list[dict[str, str]]
-HEADERS = [
-    header
-    for base in Header.__subclasses__()
-    for header in (base, *base.__subclasses__())
-    if hasattr(header, "packet_type")
-]
+
+
+def kinds_of(base: type[Header]) -> list[type[Header]]:
+    """Return a header class, if it is that of a packet, and all that are derived from it."""
+    derived = [kind for each in base.__subclasses__() for kind in kinds_of(each)]
+    return [base, *derived] if hasattr(base, "packet_type") else derived
+
+
+HEADERS = kinds_of(Header)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from threedvc.packets import BatchHeader, DepthHeader, ModelHeader, PoseHeader
 
 KEYS = {
     "name", "complete", "file_bytes", "frames", "duration_s", "kbit_s", "raw_bytes", "ratio", "packets", "objects",
-    "object_count", "bytes_per_frame", "entropy_bits", "trajectory", "paper",
+    "object_count", "bytes_per_frame", "entropy_bits", "trajectory", "paper", "sensors",
 }  # fmt: skip
 QUALITY = {
     "psnr_rgb", "psnr_y", "ssim_y", "depth_rmse_mm", "depth_median_mm", "depth_within_10mm", "depth_within_1pct",
