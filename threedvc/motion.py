@@ -15,7 +15,7 @@ from threedvc.camera import Camera, CameraRig
 from threedvc.config import Motion
 from threedvc.errors import ConfigError
 from threedvc.evidence_view import FrameViews, cast_view
-from threedvc.frame import Frame, SequenceInfo
+from threedvc.frame import NANOSECONDS, Frame, SequenceInfo
 from threedvc.joint_pose import PoseWitness, joint_pose
 from threedvc.keyframes import Keyframes
 from threedvc.object_model import EvidenceModel
@@ -49,6 +49,9 @@ RETURN_FRAMES = 10
 UNEVEN = 0.2
 """Steps of time that differ by more than this part are taken into account when a pose is predicted."""
 MAX_AHEAD = 3.0
+CARRY_NS = NANOSECONDS // 5
+LEAST_KNOWN = 0.3
+"""Where a view of the model has less than this part of a frame's pixels, the frame shows something new."""
 SAME_TURN_RAD, SAME_SHIFT = 0.1, 0.1
 """Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance."""
 COAST_FRAMES = 5
@@ -227,6 +230,8 @@ class Tracker:
         self.bridges: dict[int, tuple[Pose, int]] = {}
         self._keyframes: Keyframes | None = None
         self._last: dict[int, _Remembered] = {}
+        self._sensors: dict[int, int] = {}
+        self._way: list[tuple[int, Pose]] = []
 
     def start(self, views: FrameViews, mask: NDArray[np.bool_], number: int, *rigs: CameraRig) -> Located:
         """Place the object's own frame: the camera's for the background, else the middle of what is seen.
@@ -245,6 +250,7 @@ class Tracker:
         self._keyframes = Keyframes(*rigs) if self._recovers else None
         self._go([T], frame)
         self._remember(views, mask)
+        self._found(frame, T)
         return Located(T_camera_object=T, status=Status.TRACKED)
 
     def locate(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
@@ -258,6 +264,8 @@ class Tracker:
         views = [self._view(sight, model, last) for sight in sights]
         found = self._registered(sights, views, guess)
         status = found.status
+        if status is Status.LOST and self._carried(frame) and not any(map(_shows, sights, views)):
+            return self._along(sights)
         if status is Status.LOST or (status is Status.WEAK and found.agreement < DOUBTFUL * self._usual):
             again = self._found_again(sights, model)
             if again is not None and again.agreement > found.agreement * (status is not Status.LOST):
@@ -282,7 +290,28 @@ class Tracker:
             self._remember(*sight)
             if status is not Status.WEAK:
                 self._note(*sight)
+        self._found(frame, pose)
         return Located(T_camera_object=pose, status=status, part=self._part)
+
+    def _found(self, frame: Frame, pose: Pose) -> None:
+        """Keep when a sensor found the object, and its way in the last moments."""
+        self._sensors[frame.sensor] = frame.timestamp_ns
+        self._way = [(time, at) for time, at in self._way if frame.timestamp_ns - time <= CARRY_NS]
+        self._way.append((frame.timestamp_ns, pose))
+
+    def _carried(self, frame: Frame) -> bool:
+        """Tell whether the object was found a moment ago by another sensor, so that its pose is known anyway."""
+        times = (time for sensor, time in self._sensors.items() if sensor != frame.sensor)
+        return not self._lost and any(0 <= frame.timestamp_ns - time <= CARRY_NS for time in times)
+
+    def _along(self, sights: Sequence[Sight]) -> Located:
+        """Take the object to have gone on as other sensors saw it: the model knows nothing of what a frame shows."""
+        (start, first), (end, last) = self._way[0], self._way[-1]
+        ahead = sights[0].views.frame.timestamp_ns - end
+        pose = last if end == start else interpolated(first, last, 1 + ahead / (end - start))
+        for views, mask in sights:
+            self._remember(views, mask, pose)
+        return Located(T_camera_object=pose, status=Status.WEAK, part=self._part)
 
     def locate_by_picture(self, views: FrameViews) -> Located:
         """Find the object in a frame without depth by the colour picture alone."""
@@ -409,10 +438,12 @@ class Tracker:
         self._poses, self._resting, self._last = [T_camera_object], False, {}
         self._times = self._times[-1:]
 
-    def _remember(self, views: FrameViews, mask: NDArray[np.bool_]) -> None:
+    def _remember(self, views: FrameViews, mask: NDArray[np.bool_], pose: Pose | None = None) -> None:
+        """Keep how the object looks to a sensor at a pose, by default the present one."""
         form = views.form(mask)
         depth = np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))
-        self._last[views.frame.sensor] = _Remembered(form.stride, depth, views.luma(form), self._poses[-1])
+        at = self._poses[-1] if pose is None else pose
+        self._last[views.frame.sensor] = _Remembered(form.stride, depth, views.luma(form), at)
 
     def _view(self, sight: Sight, model: EvidenceModel, pose: Pose) -> ModelView:
         """Cast the model from where a sensor saw the object last, with the luma of that frame on the same surface.
@@ -473,6 +504,13 @@ def _joined(witnesses: Sequence[_Registered]) -> Registration:
     if len(agreeing) < 2:
         return leading
     return replace(leading, T_camera_object=joint_pose(agreeing))
+
+
+def _shows(sight: Sight, view: ModelView) -> bool:
+    """Tell whether a view of the model shows enough where a frame shows something that they can be compared."""
+    form = sight.views.form(sight.mask)
+    seen = form.thin(sight.mask) & (form.thin(sight.views.frame.depth) > 0)
+    return bool(np.count_nonzero(view.depth[seen] > 0) >= LEAST_KNOWN * np.count_nonzero(seen))
 
 
 def _agree(one: Pose, other: Pose, distance_m: float) -> bool:

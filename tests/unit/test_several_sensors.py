@@ -20,7 +20,7 @@ from threedvc.joint_pose import PoseWitness, joint_pose
 from threedvc.merging import MergedSequence
 from threedvc.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.scene import Scene
-from threedvc.synthesis import make_scene, mounted_sequences
+from threedvc.synthesis import SyntheticSequence, make_scene, mounted_sequences
 from threedvc.trajectory import trajectory_error
 from threedvc.turns import Turn, pack_cycle, shortest_cycle, unpack_cycle
 
@@ -245,6 +245,27 @@ class TestTracking:
         assert set(status) == {"tracked"}
         true = [frame.T_world_camera for frame in left if frame.T_world_camera is not None]
         found = [inverse(pose) for pose in scene.objects[0].poses[::2]]
+        assert trajectory_error(true, found, list(range(FRAMES))).ate_rmse_mm < 20
+
+    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 2], ids=["together", "apart"])
+    def test_sensors_that_see_nothing_in_common(self, offset_ns: int) -> None:
+        scene = make_scene("room", frames=2 * FRAMES, size=(96, 72))
+        behind = make_pose(rotation_from_vector(np.array([0.0, 2.4, 0.0])), np.zeros(3))
+        left = in_memory(SyntheticSequence(scene, "kinect"), step=2)
+        # The scene's time goes on between the frames of the one and of the other.
+        later = list(SyntheticSequence(scene.seen_from(behind), "kinect", 1))[bool(offset_ns) :: 2]
+        frames = [
+            replace(frame, index=k, timestamp_ns=left[k].timestamp_ns + (left[1].timestamp_ns // 2 if offset_ns else 0))
+            for k, frame in enumerate(later)
+        ]
+        right = ListSequence(frames, left.info)
+        merged = MergedSequence([without_poses(left), without_poses(right)], [behind])
+        tracked = Scene(merged.info, FAST)
+        status = [tracked.add(*moment) for moment in moments(merged, merged.info)]
+        assert "lost" not in status
+        own = [k for k, sensor in enumerate(tracked.sensors) if sensor == 1]
+        true = [frame.T_world_camera for frame in right if frame.T_world_camera is not None]
+        found = [inverse(merged.info.rigs[1].at_sensor(tracked.objects[0].poses[k])) for k in own]
         assert trajectory_error(true, found, list(range(FRAMES))).ate_rmse_mm < 20
 
     def test_sensors_of_a_moment_share_their_pose(self, room: tuple[list[ListSequence], Pose]) -> None:
