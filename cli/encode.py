@@ -62,7 +62,8 @@ OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps"
               help="Use the poses of INPUT, or track.")  # fmt: skip
 @click.option("--segment", type=segmentation, metavar="none|depth:N..F|masks|motion|auto", default="auto",
               show_default=True,
-              help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT, by what moves."
+              help="Divide frames into objects: not at all, by a depth range, by the masks of INPUT, by what moves; "
+              "auto: by masks, and where there are none a file by what moves, if anything does."
               )  # fmt: skip
 @click.option("--sensor", type=click.Choice(SENSORS), multiple=True, help="Noise of the depth.  [default: auto]")
 @click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,

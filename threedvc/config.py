@@ -77,7 +77,11 @@ class Preset(StrEnum):
 
 
 class SegmentationMode(StrEnum):
-    """How a frame is divided into objects; MOTION finds out what moves on its own."""
+    """How a frame is divided into objects; MOTION finds out what moves on its own.
+
+    AUTO takes masks where there are some. Else it looks for motion in a file whose poses are refined, and divides it if
+    something moves; a stream that is sent as it comes is not divided.
+    """
 
     AUTO = "auto"
     NONE = "none"

@@ -20,6 +20,8 @@ __all__ = ["NOTHING", "Division"]
 NOTHING = 255
 """Label of pixels that belong neither to the background nor to an object, such as of hands."""
 MAX_OBJECTS = 200
+MOST_LOST = 0.05
+"""Part of the frames in which the camera may be lost; where it is lost more often, what seems to move may not."""
 Whole = TypeVar("Whole", np.uint8, np.uint16)
 
 
@@ -49,6 +51,12 @@ class Division:
         self._gone: dict[int, set[int]] = {}
         self._seen: dict[int, set[int]] = {}
         self.camera_rests = False
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it found objects in a sequence that was taken as a whole, and never lost the camera for long."""
+        lost = sum(pose is None for pose in self._divider.poses)
+        return bool(self._numbers) and lost <= MOST_LOST * len(self._divider.poses)
 
     def labels(self, frame: Frame) -> NDArray[np.uint8]:
         """Return the labels (h, w) of a frame's depth picture: 0 the background, objects, or `NOTHING`."""

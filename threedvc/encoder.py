@@ -16,8 +16,9 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from threedvc.config import EncoderConfig, with_step
+from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode, with_step
 from threedvc.decoder import Decoder
+from threedvc.division import Division
 from threedvc.emitter import Emitter
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.filtering import FILTER_BYTES, fitted_filter
@@ -114,7 +115,9 @@ class Encoder:
             yield from self._live(frames, on_frame)
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
-        if again and self.scene.division is not None:
+        if again and self._may_divide:
+            self._divide(cast(FrameSequence, frames))
+        elif again and self.scene.division is not None:
             self.scene.division.take(cast(FrameSequence, frames))
         if again and self.config.refine:
             self.scene.luma_weight = DOUBTED_LUMA
@@ -131,6 +134,22 @@ class Encoder:
             yield from self._everything(None, *self._rated(None, 0))
         else:
             yield from self._filtered(finished, cast(FrameSequence, frames))
+
+    @property
+    def _may_divide(self) -> bool:
+        """Whether nobody has said which objects there are, and there is time to find out."""
+        info, asked = self.info, self.config.segmentation.mode
+        told = info.has_masks or info.has_object_poses or bool(info.sensors)
+        return asked is SegmentationMode.AUTO and self.config.refine and not told
+
+    def _divide(self, frames: FrameSequence) -> None:
+        """Divide frames by motion if that finds anything."""
+        config = replace(self.config, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION))
+        division = Division(self.info, config)
+        division.take(frames)
+        if division.is_sure:
+            self.config = config
+            self.scene = Scene(self.info, config, None, division)
 
     def _check_focus(self) -> None:
         """Raise ConfigError if a focus is on an object that is not there; a live encoder cannot know."""

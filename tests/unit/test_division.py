@@ -19,6 +19,7 @@ from threedvc.encoder import Encoder
 from threedvc.frame import Frame, FrameSequence, SequenceInfo
 from threedvc.motion import UNSEEN
 from threedvc.motion_segmentation import Reduction
+from threedvc.packets import Packet
 from threedvc.pose import inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.scene import Scene
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -184,3 +185,30 @@ def test_two_toys_are_two_objects(sequence_dir: Callable[[str], Path]) -> None:
     labels = [division.labels(frame) for frame in sequence]
     assert set(np.unique(labels)) - {NOTHING} == {0, 1, 2}
     assert np.mean([overlap(picture, frame) for picture, frame in zip(labels, sequence, strict=True)]) > 0.9
+
+
+def untold(kept: Kept) -> Kept:
+    """Return frames of which nobody says what moves in them."""
+    result = Kept(kept)
+    result.info = replace(kept.info, has_masks=False, has_object_poses=False, has_camera_poses=False)
+    result.frames = [replace(frame, mask=None, T_camera_object={}, T_world_camera=None) for frame in kept]
+    return result
+
+
+def encoded(frames: Kept, mode: SegmentationMode) -> tuple[Encoder, list[Packet]]:
+    config = replace(CONFIG, segmentation=SegmentationConfig(mode=mode), refine=True, voxel_size_m=0.03)
+    encoder = Encoder(frames.info, replace(config, appearance=replace(config.appearance, rounds=0)))
+    return encoder, list(encoder.packets(frames))
+
+
+def test_a_file_is_searched_for_what_moves_where_nobody_says() -> None:
+    encoder, _ = encoded(untold(filmed(moved_aside)), SegmentationMode.AUTO)
+    assert encoder.scene.division is not None
+    assert set(encoder.scene.objects) >= {0, 1}
+
+
+def test_where_nothing_moves_a_file_is_as_if_it_had_not_been_searched() -> None:
+    frames = untold(filmed(None, 12))
+    encoder, packets = encoded(frames, SegmentationMode.AUTO)
+    assert encoder.scene.division is None
+    assert packets == encoded(frames, SegmentationMode.NONE)[1]
