@@ -26,6 +26,7 @@ from threedvc.finishing import Finish, align, align_pictures, finish, trial_erro
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence, moments, spread_step
 from threedvc.loop_closure import closed_loops
 from threedvc.motion import Located, joined_parts
+from threedvc.mounting import mounted_info
 from threedvc.packets import Packet, PacketType
 from threedvc.picture_filter import PictureFilter
 from threedvc.pose import Pose, compose, inverse
@@ -242,6 +243,7 @@ class Encoder:
         self._fit_cells(frames, on_frame)
         shifts = None
         if self.config.refine:
+            self._mount(frames, on_frame)
             self._calibrate(frames, on_frame)
             self._close_loops(frames, on_frame)
             if self.config.appearance.rounds and any(map(self.scene.may_move, self.scene.objects)):
@@ -257,6 +259,15 @@ class Encoder:
         if bridges:
             script = {number: joined_parts(item.found, bridges.get(number, {})) for number, item in items}
             self._fuse_again(frames, on_frame, script)
+
+    def _mount(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
+        """Correct how further sensors are mounted, if that makes their frames fit those of the first one better."""
+        info = mounted_info(self.scene, frames)
+        if info is not None:
+            self.info = info
+            script = {number: item.found for number, item in self.scene.objects.items()}
+            self.scene = Scene(info, self.config, script, self.scene.division)
+            self._fuse_all(frames, on_frame)
 
     def _settle(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
         """Let a camera that was tracked and hardly moved stand still."""

@@ -12,12 +12,14 @@ import pytest
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, with_preset
+from threedvc.encoder import Encoder
 from threedvc.errors import ConfigError, CorruptStream
 from threedvc.formats.api import DecodedFrame, encode, open_stream
 from threedvc.formats.statistics import statistics
 from threedvc.frame import NANOSECONDS, Frame, FrameSequence, moments
 from threedvc.joint_pose import PoseWitness, joint_pose
 from threedvc.merging import MergedSequence
+from threedvc.mounting import mounted_info
 from threedvc.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.scene import Scene
 from threedvc.synthesis import SyntheticSequence, make_scene, mounted_sequences
@@ -278,6 +280,25 @@ class TestTracking:
         for one, other in zip(poses[::2], poses[1::2], strict=True):
             np.testing.assert_array_equal(one, other)
         assert rotation_angle(poses[-1]) > 0.01
+
+    @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
+    def test_a_wrong_mounting_is_corrected(self, room: tuple[list[ListSequence], Pose], motion: Motion) -> None:
+        (left, right), T = room
+        off = make_pose(rotation_from_vector(np.array([0.012, -0.015, 0.01])), np.array([0.012, -0.01, 0.015]))
+        merged = MergedSequence([left, without_poses(right)], [off @ T])
+        encoder = Encoder(merged.info, with_preset(replace(FAST, motion=motion, voxel_size_m=0.02), Preset.MEDIUM))
+        list(encoder.packets(merged))
+        error = inverse(T) @ inverse(encoder.scene.info.rigs[1].T_depth_base)
+        assert np.degrees(rotation_angle(error)) < 0.3
+        assert np.linalg.norm(error[:3, 3]) < 0.008
+
+    def test_a_right_mounting_stays(self, room: tuple[list[ListSequence], Pose]) -> None:
+        (left, right), T = room
+        merged = MergedSequence([left, right], [T])
+        scene = Scene(merged.info, replace(FAST, motion=Motion.KNOWN))
+        for moment in moments(merged, merged.info):
+            scene.add(*moment)
+        assert mounted_info(scene, merged) is None
 
     def test_motion_cannot_divide_frames_of_several(self, room: tuple[list[ListSequence], Pose]) -> None:
         from threedvc.config import SegmentationConfig, SegmentationMode
