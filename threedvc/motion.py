@@ -30,6 +30,7 @@ __all__ = [
     "Script",
     "Sight",
     "Tracker",
+    "bridged",
     "joined_parts",
     "known_pose",
     "motion_of",
@@ -566,6 +567,40 @@ def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
         return at.T_camera_object
     share = (frame - before[0]) / (after[0] - before[0])
     return interpolated(before[1].T_camera_object, after[1].T_camera_object, share)
+
+
+def bridged(found: Sequence[Located | None], blind: Sequence[bool], most: int) -> list[Located | None]:
+    """Return located frames with short runs of those without depth on the way between the frames about them.
+
+    What the picture alone says of a pose is worth less than that, but for long ways.
+
+    Parameters
+    ----------
+    found
+        Where an object is in every frame.
+    blind
+        Whether a frame has no depth.
+    most
+        Frames of a run at most.
+    """
+    result, start = list(found), 0
+    for stop in range(len(result) + 1):
+        if stop < len(result) and blind[stop]:
+            continue
+        before, after = (found[start - 1] if start else None), (found[stop] if stop < len(result) else None)
+        if 0 < stop - start <= most and before is not None and after is not None and _joined(before, after):
+            ends = before.T_camera_object, after.T_camera_object
+            for frame in range(start, stop):
+                at = found[frame]
+                if at is not None and at.status == Status.WEAK:
+                    pose = interpolated(*ends, (frame - start + 1) / (stop - start + 1))
+                    result[frame] = replace(at, T_camera_object=pose, part=before.part)
+        start = stop + 1
+    return result
+
+
+def _joined(before: Located, after: Located) -> bool:
+    return before.usable and after.usable and before.part == after.part
 
 
 def refound(
