@@ -4,8 +4,8 @@
 Poses that fit colour and depth together know best how a camera moved from frame to frame; poses that fit the depth
 alone know where its surfaces meet those of other frames, but jump by what the noise of one depth picture leaves open.
 What the one differ from the other by has causes that change slowly: instants of exposure that drift apart, drift of the
-model along directions that its shape leaves open. So that difference is smoothed over time, by
-least squares with a weight on its changes.
+model along directions that its shape leaves open. So that difference is smoothed over time, by least squares with a
+weight on its changes, and the motion that results is eased a little.
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.motion import Located
-from threedvc.pose import compose, inverse, make_pose, rotation_from_vector, rotation_vector
+from threedvc.pose import Pose, compose, inverse, make_pose, rotation_from_vector
+from threedvc.pose_graph import twist_of
 
-__all__ = ["settled", "smoothed"]
+__all__ = ["eased", "settled", "smoothed"]
 
 STIFFNESS = 32.0
 """Weight of a change from one frame to the next, against a deviation from what was measured: about six frames to each
 side count."""
+EASE = 0.07
+"""Weight of a change of motion, against a step away from what was measured: a hand that holds a camera has mass."""
+EASE_STEPS = 30
 FREE = 1e-9
 """Values that nothing determines are 0."""
 
@@ -51,22 +55,41 @@ def settled(
     deviations, moves = np.zeros((len(pairs), 6)), np.zeros(len(pairs), dtype=np.bool_)
     for k, (at, both) in enumerate(pairs):
         if at is not None and both is not None and at.usable and at.status != "known":
-            motion = at.T_camera_object @ inverse(both.T_camera_object)
-            deviations[k, :3], deviations[k, 3:], moves[k] = rotation_vector(motion[:3, :3]), motion[:3, 3], True
+            deviations[k], moves[k] = twist_of(at.T_camera_object @ inverse(both.T_camera_object)), True
     parts = [None if at is None else at.part for at, _ in pairs]
     joined = np.array([a is not None and a == b for a, b in pairwise(parts)])
-    smooth = smoothed(deviations, moves & ~np.array(blind), STIFFNESS * joined)
+    smooth = smoothed(deviations, moves & ~np.array(blind, dtype=np.bool_), STIFFNESS * joined)
+    poses: dict[int, Pose] = {}
+    for k, (_, both) in enumerate(pairs):
+        if moves[k] and both is not None and not _rests(pairs, k):
+            poses[k] = compose(_motion(smooth[k]), both.T_camera_object)
+    for run in _runs(list(poses), joined):
+        poses |= zip(run, eased([poses[k] for k in run]), strict=True)
     result = list(found)
-    for k, (at, both) in enumerate(pairs):
-        if not moves[k] or at is None or both is None:
-            continue
-        if k and _same(at, found[k - 1]) and _same(both, together[k - 1]):
-            pose = result[k - 1].T_camera_object  # type: ignore[union-attr]
-        else:
-            motion = make_pose(rotation_from_vector(smooth[k, :3]), smooth[k, 3:])
-            pose = compose(motion, both.T_camera_object)
-        result[k] = replace(at, T_camera_object=pose)
+    for k, at in enumerate(found):
+        if moves[k] and at is not None:
+            if k not in poses:
+                poses[k] = poses.get(k - 1, at.T_camera_object)
+            result[k] = replace(at, T_camera_object=poses[k])
     return result
+
+
+def eased(poses: Sequence[Pose]) -> list[Pose]:
+    """Return poses ``T_camera_object`` near given ones of consecutive frames that change their motion a little less.
+
+    Minimises, over small motions of each camera in its own frame, the sum of their squares plus `EASE` times that of
+    the changes of motion, turns and shifts alike.
+    """
+    if len(poses) < 3:
+        return list(poses)
+    motions = np.array([twist_of(a @ inverse(b)) for a, b in pairwise(poses)])
+    bends, steps = np.diff(motions, axis=0), np.zeros((len(poses), 6))
+    for _ in range(EASE_STEPS):
+        bent, pull = bends + np.diff(steps, n=2, axis=0), steps.copy()
+        for offset, weight in enumerate((EASE, -2 * EASE, EASE)):
+            pull[offset : offset + len(bent)] += weight * bent
+        steps -= pull / (1 + 8 * EASE)
+    return [compose(inverse(_motion(step)), pose) for step, pose in zip(steps, poses, strict=True)]
 
 
 def smoothed(values: Doubles, weights: Doubles | NDArray[np.bool_], stiffness: Doubles) -> Doubles:
@@ -97,5 +120,27 @@ def smoothed(values: Doubles, weights: Doubles | NDArray[np.bool_], stiffness: D
     return result
 
 
-def _same(one: Located, other: Located | None) -> bool:
-    return other is not None and np.array_equal(one.T_camera_object, other.T_camera_object)
+def _motion(twist: Doubles) -> Pose:
+    return make_pose(rotation_from_vector(twist[:3]), twist[3:])
+
+
+def _rests(pairs: Sequence[tuple[Located | None, Located | None]], frame: int) -> bool:
+    """Tell whether both poses of a frame are those of the frame before."""
+    if not frame:
+        return False
+    befores = pairs[frame - 1]
+    return all(
+        at is not None and before is not None and np.array_equal(at.T_camera_object, before.T_camera_object)
+        for at, before in zip(pairs[frame], befores, strict=True)
+    )
+
+
+def _runs(frames: Sequence[int], joined: NDArray[np.bool_]) -> list[list[int]]:
+    """Divide rising numbers of frames into runs of consecutive ones that are joined."""
+    runs: list[list[int]] = []
+    for frame in frames:
+        if runs and runs[-1][-1] == frame - 1 and joined[frame - 1]:
+            runs[-1].append(frame)
+        else:
+            runs.append([frame])
+    return runs

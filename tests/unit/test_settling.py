@@ -10,7 +10,7 @@ import pytest
 
 from threedvc.motion import Located
 from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.settling import settled, smoothed
+from threedvc.settling import EASE, eased, settled, smoothed
 
 
 def located(poses: list[Pose], status: str = "tracked") -> list[Located | None]:
@@ -22,9 +22,9 @@ def poses_of(found: list[Located | None]) -> list[Pose]:
 
 
 def turning(count: int) -> list[Pose]:
-    return [
-        make_pose(rotation_from_vector(np.array([0, 0.04 * k, 0])), np.array([0.01 * k, 0, 0])) for k in range(count)
-    ]
+    """Return a camera that turns and goes steadily."""
+    step = make_pose(rotation_from_vector(np.array([0, 0.04, 0])), np.array([0.01, 0, 0]))
+    return [np.linalg.matrix_power(step, k) for k in range(count)]
 
 
 def moved(poses: list[Pose], motions: list[Pose]) -> list[Pose]:
@@ -97,3 +97,24 @@ def test_frames_without_depth_go_with_those_about_them() -> None:
     found = located(moved(together, [shift] * 3 + [identity()] + [shift] * 3))
     result = poses_of(settled(found, located(together), [k == 3 for k in range(7)]))
     assert all(np.allclose(a, b) for a, b in zip(result, moved(together, [shift] * 7), strict=True))
+
+
+def test_easing_is_the_least_squares_solution_of_shifts(rng: np.random.Generator) -> None:
+    places = np.cumsum(rng.normal(size=(12, 3)), axis=0)
+    bends = np.diff(np.eye(12), n=2, axis=0)
+    wanted = np.linalg.solve(np.eye(12) + EASE * bends.T @ bends, places)
+    result = eased([make_pose(np.eye(3), -place) for place in places])
+    assert [-pose[:3, 3] for pose in result] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_steady_motion_is_not_eased() -> None:
+    for count in (0, 1, 2, 3, 20):
+        poses = turning(count)
+        assert all(np.allclose(a, b, atol=1e-9) for a, b in zip(eased(poses), poses, strict=True))
+
+
+def test_easing_takes_noise_out_of_turns(rng: np.random.Generator) -> None:
+    true = turning(40)
+    noise = [make_pose(rotation_from_vector(rng.normal(scale=0.005, size=3)), np.zeros(3)) for _ in true]
+    noisy = moved(true, noise)
+    assert jitter(eased(noisy), true) < 0.85 * jitter(noisy, true)
