@@ -395,7 +395,7 @@ class Alignment:
         if inlier_fraction < config.min_inliers or overlap < config.min_overlap:
             return Status.LOST
         trusted = inlier_fraction >= config.weak_inliers and overlap >= config.weak_overlap
-        return Status.TRACKED if trusted and conditioning >= config.min_conditioning else Status.WEAK
+        return Status.TRACKED if trusted and conditioning >= config.weak_conditioning else Status.WEAK
 
 
 def _lost(T_camera_object: Pose, steps: int) -> Registration:
