@@ -41,6 +41,7 @@ __all__ = ["MAX_JUMP", "Alignment", "masked_luma", "normal_reach"]
 CHUNK = 512
 THREADED_SAMPLES = 32768
 MEDIAN_SAMPLES = 2048
+AGREEING_SAMPLES = 768
 MIN_LEVEL_SAMPLES = 1500
 MIN_ASSOCIATED = 12
 SMALLEST_SIDE = 24
@@ -311,7 +312,7 @@ class Alignment:
         Noise tilts the normals of both, but not alike: in the product of the one with the other it cancels out, in
         that of either with itself a plain wall would seem to have a structure.
         """
-        some = slice(None, None, max(1, len(samples) // MEDIAN_SAMPLES))
+        some = slice(None, None, max(1, len(samples) // AGREEING_SAMPLES))
         fitting = fit.states[some] == kernels.FITTING
         rows, arms = fit.rows[some][fitting], fit.rows[some][fitting, :3] - centre
         seen = samples.surface[some][fitting, 3:6] @ T_view_frame[:3, :3].T
@@ -326,7 +327,7 @@ class Alignment:
         """
         if not fit.scales[3]:
             return np.zeros((6, 6))
-        some = slice(None, None, max(1, len(samples) // MEDIAN_SAMPLES))
+        some = slice(None, None, max(1, len(samples) // AGREEING_SAMPLES))
         rows, surface, slopes, level = fit.rows[some], samples.surface[some], samples.slopes[some], samples.luma[some]
         good = np.isfinite(rows[:, 10]) & np.isfinite(rows[:, 7]) & np.isfinite(slopes).all(axis=1) & np.isfinite(level)
         if not good.any():
