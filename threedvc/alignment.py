@@ -4,7 +4,7 @@
 The unknowns of a step are a small rotation about the middle of what is seen and a translation, both in
 the view's camera frame, and gain and offset of the frame's luma. Which directions of motion the
 residuals determine is told by a quality matrix: the depth's information relative to its own best
-direction, as noise in the model's normals makes a small part of it everywhere, plus the luma's relative to a
+direction, as far as normals of model and frame agree on it, plus the luma's relative to a
 picture full of strong slopes, as noise makes weak slopes everywhere. Directions below a threshold are
 left alone.
 """
@@ -41,6 +41,7 @@ __all__ = ["MAX_JUMP", "Alignment", "masked_luma", "normal_reach"]
 CHUNK = 512
 THREADED_SAMPLES = 32768
 MEDIAN_SAMPLES = 2048
+AGREEING_SAMPLES = 768
 MIN_LEVEL_SAMPLES = 1500
 MIN_ASSOCIATED = 12
 SMALLEST_SIDE = 24
@@ -76,10 +77,11 @@ def masked_luma(intensity: Floats, mask: Mask | None) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Samples of a frame at one level: rows of `kernels.sample_frame`, luma, depth noise."""
+    """Samples of a frame at one level: rows of `kernels.sample_frame`, luma, its slopes by pixel, depth noise."""
 
     surface: Doubles
     luma: Doubles
+    slopes: Doubles
     sigma: Doubles
 
     def __len__(self) -> int:
@@ -304,6 +306,43 @@ class Alignment:
         luma[7, 7] += 1e-9
         return depth, luma
 
+    def _shape_information(self, fit: _Fit, samples: _Samples, T_view_frame: Pose, centre: Doubles) -> Doubles:
+        """Return what the shape says of a motion (turn, shift) as far as the normals of view and frame agree.
+
+        Noise tilts the normals of both, but not alike: in the product of the one with the other it cancels out, in
+        that of either with itself a plain wall would seem to have a structure.
+        """
+        some = slice(None, None, max(1, len(samples) // AGREEING_SAMPLES))
+        fitting = fit.states[some] == kernels.FITTING
+        rows, arms = fit.rows[some][fitting], fit.rows[some][fitting, :3] - centre
+        seen = samples.surface[some][fitting, 3:6] @ T_view_frame[:3, :3].T
+        view, frame = (np.hstack([np.cross(arms, normals), normals]) for normals in (rows[:, 3:6], seen))
+        product = (view / samples.sigma[some][fitting, None] ** 2).T @ frame
+        return np.asarray(product + product.T)
+
+    def _picture_information(self, fit: _Fit, samples: _Samples, T_view_frame: Pose, centre: Doubles) -> Doubles:
+        """Return what luma says of a motion (turn, shift) as far as the slopes of view and frame agree.
+
+        Noise has slopes too, and pictures of noise alone fit best half a pixel apart, where interpolation smooths it.
+        """
+        if not fit.scales[3]:
+            return np.zeros((6, 6))
+        some = slice(None, None, max(1, len(samples) // AGREEING_SAMPLES))
+        rows, surface, slopes, level = fit.rows[some], samples.surface[some], samples.slopes[some], samples.luma[some]
+        good = np.isfinite(rows[:, 10]) & np.isfinite(rows[:, 7]) & np.isfinite(slopes).all(axis=1) & np.isfinite(level)
+        if not good.any():
+            return np.zeros((6, 6))
+        arms, points = rows[good, :3] - centre, surface[good, :3]
+        across = slopes[good] * [self.camera.fx, self.camera.fy] / points[:, 2:]
+        along = -np.sum(across * points[:, :2], axis=1) / points[:, 2]
+        seen = np.column_stack([across, along]) @ T_view_frame[:3, :3].T
+        rest = np.column_stack([kernels.LUMA_CENTRE - level[good], np.full(len(arms), -1.0)])
+        view, frame = (np.hstack([np.cross(arms, each), each, rest]) for each in (rows[good, 7:10], seen))
+        product = view.T @ frame * (len(samples) / len(rows) * fit.scales[3] / fit.scales[1] ** 2)
+        both = 0.5 * (product + product.T)
+        both[range(6, 8), range(6, 8)] += GAIN_PRIOR, 1e-9
+        return np.asarray(both[:6, :6] - both[:6, 6:] @ np.linalg.solve(both[6:, 6:], both[6:, :6]))
+
     def _step(self, fit: _Fit, level: int, T_view_frame: Pose) -> _Step:
         """Solve for one Gauss-Newton step in the directions that the residuals determine."""
         centre = T_view_frame[:3, :3] @ self.centre + T_view_frame[:3, 3]
@@ -316,8 +355,11 @@ class Alignment:
         slope = unit * (depth[:6, 8] + luma[:6, 8] - luma[:6, 6:8] @ coupling[:, 6])
         pixel = 0.5**level * self.camera.fx / max(centre[2], 1e-6)
         full_luma = np.count_nonzero(fit.states == kernels.FITTING) * fit.scales[3] / fit.scales[1] ** 2
-        quality = by_depth / max(float(np.linalg.eigvalsh(by_depth)[-1]), 1e-12)
-        quality += by_luma / max(full_luma * (STRONG_SLOPE * pixel) ** 2, 1e-12)
+        agreeing = unit[:, None] * self._picture_information(fit, self.samples[level], T_view_frame, centre) * unit
+        shape = unit[:, None] * self._shape_information(fit, self.samples[level], T_view_frame, centre) * unit
+        shape, agreeing = _without_contradictions(shape), _without_contradictions(agreeing)
+        quality = shape / max(float(np.linalg.eigvalsh(shape)[-1]), 1e-12)
+        quality += agreeing / max(full_luma * (STRONG_SLOPE * pixel) ** 2, 1e-12)
         grades, directions = np.linalg.eigh(quality)
         chosen = directions[:, grades > self.config.min_conditioning]
         way = -chosen @ np.linalg.solve(chosen.T @ (by_depth + by_luma) @ chosen, chosen.T @ slope)
@@ -354,7 +396,7 @@ class Alignment:
         if inlier_fraction < config.min_inliers or overlap < config.min_overlap:
             return Status.LOST
         trusted = inlier_fraction >= config.weak_inliers and overlap >= config.weak_overlap
-        return Status.TRACKED if trusted and conditioning >= config.min_conditioning else Status.WEAK
+        return Status.TRACKED if trusted and conditioning >= config.weak_conditioning else Status.WEAK
 
 
 def _lost(T_camera_object: Pose, steps: int) -> Registration:
@@ -401,7 +443,22 @@ def _level_samples(surface: Doubles, sigma: Doubles, luma: Floats, level: int) -
     chosen = np.ascontiguousarray(surface[::step])
     values = np.empty(len(chosen))
     kernels.sample_luma(luma, 0.5**level, chosen, values, 0, len(chosen))
-    return _Samples(chosen, values, np.ascontiguousarray(sigma[::step]))
+    return _Samples(chosen, values, _slopes(luma, 0.5**level, chosen), np.ascontiguousarray(sigma[::step]))
+
+
+def _without_contradictions(information: Doubles) -> Doubles:
+    """Return the nearest matrix without negative directions: where view and frame contradict, nothing is known."""
+    values, directions = np.linalg.eigh(information)
+    return np.asarray(directions * np.maximum(values, 0) @ directions.T)
+
+
+def _slopes(luma: Floats, scale: float, samples: Doubles) -> Doubles:
+    """Return the slopes (n, 2) of a shrunk luma picture at samples, by unshrunk pixels; NaN beside unknown ones."""
+    height, width = luma.shape
+    columns, rows = np.rint((samples[:, 6:8] + 0.5) * scale - 0.5).astype(np.intp).T
+    columns, rows = np.clip(columns, 1, width - 2), np.clip(rows, 1, height - 2)
+    along = luma[rows, columns + 1] - luma[rows, columns - 1], luma[rows + 1, columns] - luma[rows - 1, columns]
+    return np.column_stack(along) * (0.5 * scale)
 
 
 def _luma_residuals(fit: _Fit, samples: _Samples) -> Doubles:

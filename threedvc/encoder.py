@@ -25,7 +25,7 @@ from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence, moments, spread_step
 from threedvc.loop_closure import closed_loops
-from threedvc.motion import Located, joined_parts
+from threedvc.motion import Located, bridged, joined_parts
 from threedvc.mounting import mounted_info
 from threedvc.packets import Packet, PacketType
 from threedvc.picture_filter import PictureFilter
@@ -45,6 +45,7 @@ from threedvc.refinement import calibrated_info, depth_misfit, refined_script
 from threedvc.registration import RegistrationConfig
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
+from threedvc.settling import settled
 from threedvc.trials import cheap_relief, surface_bytes
 
 __all__ = ["Encoder", "OnFrame", "verified"]
@@ -61,6 +62,10 @@ are about right, so whatever is not lost may be trusted."""
 DOUBTED_LUMA = 0.1
 """Weight of luma in the first pass, when it is not known yet whether depth and colour are registered as the input says:
 a colour camera with another focal length would show other motions."""
+SURE_LUMA = 2.0
+"""Weight of luma where the background is tracked again with a calibration that proved right."""
+BRIDGED_S = 0.5
+"""Frames without depth, found by their pictures, are put on the way between those about them if they are no longer."""
 WORTHWHILE_SHIFTS = 0.06
 """Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
 LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.45, 0.65
@@ -293,11 +298,14 @@ class Encoder:
             self.scene = Scene(info, self.config, known, self.scene.division)
             self._fuse_all(frames, on_frame)
         elif tracked:
-            self.scene = Scene(self.info, self.config, None, self.scene.division)
+            cells = min(self.config.cell_factor, 1.0)  # wider ones, for a low rate, would blunt the tracking
+            self.scene = Scene(self.info, replace(self.config, cell_factor=cells), None, self.scene.division)
+            self.scene.luma_weight = SURE_LUMA
             self._fuse_all(frames, on_frame)
             self._join_parts(frames, on_frame)
             self._settle(frames, on_frame)
         script = refined_script(self.scene, frames, TO_DEPTH if tracked and info is not None else None)
+        script[0] = bridged(script[0], self.scene.blind, round(BRIDGED_S * self.info.fps))
         self._fuse_again(frames, on_frame, script)
 
     def _close_loops(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
@@ -326,7 +334,10 @@ class Encoder:
         together, reports = self.scene, self.reports
         first = misfit = depth_misfit(together, frames)
         for _ in range(DEPTH_ROUNDS):
-            self._fuse_again(frames, on_frame, refined_script(self.scene, frames, TO_DEPTH))
+            script = refined_script(self.scene, frames, TO_DEPTH)
+            if not self.info.sensors:  # sensors share poses, or take turns at steps of uneven length
+                script[0] = settled(script[0], together.objects[0].found, together.blind)
+            self._fuse_again(frames, on_frame, script)
             before, misfit = misfit, depth_misfit(self.scene, frames)
             if misfit > WORTHWHILE_ROUND * before:
                 break

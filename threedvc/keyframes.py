@@ -26,6 +26,8 @@ FAST_THRESHOLD = 7
 BORDER = 16
 PICTURE_SIDE = 640
 RASTER = 4
+LIFTED_SIDE = 320
+"""Of wider depth pictures, about so many columns serve to lift features, at least two to a cell of the raster."""
 APART_RAD, APART = 0.25, 0.15
 """Keyframes differ by this turn, or by this way in parts of the distance of what they show."""
 MAX_KEYFRAMES = 400
@@ -72,7 +74,8 @@ class Keyframes:
     def __init__(self, *rigs: CameraRig) -> None:
         self._rigs = rigs
         self._kept: list[_Keyframe] = []
-        self._rays = [rig.depth.rays() for rig in rigs]
+        self._thin = [_thinning(rig) for rig in rigs]
+        self._rays = [rig.depth.rays()[thin] for rig, thin in zip(rigs, self._thin, strict=True)]
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -155,9 +158,9 @@ class Keyframes:
 
     def _lift(self, frame: Frame, mask: NDArray[np.bool_], pixels: Doubles) -> tuple[Doubles, NDArray[np.bool_]]:
         """Return the points (n, 3) in the depth camera that colour pixels show, and which of them are the object's."""
-        rig = self._rigs[frame.sensor]
-        known = frame.depth > 0
-        z = frame.depth[known].astype(np.float64)
+        rig, thin = self._rigs[frame.sensor], self._thin[frame.sensor]
+        known = frame.depth[thin] > 0
+        z = frame.depth[thin][known].astype(np.float64)
         points = np.column_stack([self._rays[frame.sensor][known] * z[:, None], z])
         T = rig.T_color_depth
         moved = points @ T[:3, :3].T + T[:3, 3]
@@ -172,7 +175,7 @@ class Keyframes:
         raster[cells[order, 1], cells[order, 0]] = order
         own = np.floor((pixels + 0.5) / RASTER).astype(np.int64)
         number = raster[np.clip(own[:, 1], 0, shape[0] - 1), np.clip(own[:, 0], 0, shape[1] - 1)]
-        found = (number >= 0) & mask[known][number] if len(points) else np.zeros(len(pixels), np.bool_)
+        found = (number >= 0) & mask[thin][known][number] if len(points) else np.zeros(len(pixels), np.bool_)
         return (points[number] if len(points) else np.zeros((len(pixels), 3))), found
 
     @staticmethod
@@ -201,6 +204,14 @@ class Keyframes:
         R = rotation_from_vector(np.asarray(turn, dtype=np.float64).ravel())
         T_color_object = make_pose(R, np.asarray(shift, dtype=np.float64).ravel())
         return Sight(rig.at_base(compose(inverse(rig.T_color_depth), T_color_object)), len(follow))
+
+
+def _thinning(rig: CameraRig) -> tuple[slice, slice]:
+    """Return which rows and columns of a depth picture lift features."""
+    columns = slice(
+        None, None, max(1, round(min(rig.depth.width / LIFTED_SIDE, RASTER / 2 * rig.depth.fx / rig.color.fx)))
+    )
+    return columns, columns
 
 
 def _near(kept: _Keyframe, T_camera_object: Pose) -> bool:

@@ -30,6 +30,7 @@ __all__ = [
     "Script",
     "Sight",
     "Tracker",
+    "bridged",
     "joined_parts",
     "known_pose",
     "motion_of",
@@ -54,6 +55,9 @@ LEAST_KNOWN = 0.3
 """Where a view of the model has less than this part of a frame's pixels, the frame shows something new."""
 SAME_TURN_RAD, SAME_SHIFT = 0.1, 0.1
 """Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance."""
+SLOWED = 0.5
+"""Share of its motion with which an object is thought to go on if nothing determined some direction of it: else what
+noise made of it would go on for ever."""
 COAST_FRAMES = 5
 """A lost object goes on as it went for so many frames, then stays."""
 UNSEEN = "unseen"
@@ -224,6 +228,7 @@ class Tracker:
         self._poses: list[Pose] = []
         self._times: list[int] = []
         self._resting = False
+        self._carries = 1.0
         self._usual = 0.0
         self._patience, self._lost, self._recovers = patience, 0, recovers
         self._part, self._parts, self._since_check, self._apart_m = 0, 1, 0, 1.0
@@ -278,6 +283,8 @@ class Tracker:
         elsewhere = self._recognised(sights, model, found)
         if elsewhere is not None:
             found, status = elsewhere, Status.RELOCALISED
+        determined = found.conditioning >= self._config.min_conditioning
+        self._carries = 1.0 if determined else SLOWED
         jumped = status is Status.RELOCALISED
         if jumped:
             self._part = self._part_of(found.T_camera_object)
@@ -335,15 +342,15 @@ class Tracker:
         self._times = [*self._times, frame.timestamp_ns][-len(poses) :]
 
     def _guess(self, frame: Frame) -> Pose:
-        """Return the pose in a frame at constant velocity."""
+        """Return the pose in a frame at constant velocity, or at half of it where not all of it was determined."""
         if len(self._poses) < 2:
             return self._poses[-1]
         ahead, step = frame.timestamp_ns - self._times[-1], self._times[-1] - self._times[0]
         steps = min(ahead / step, MAX_AHEAD) if ahead > 0 and step > 0 else 1.0
         following = predict(*self._poses)
-        if abs(steps - 1) <= UNEVEN:
+        if abs(steps - 1) <= UNEVEN and self._carries == 1:
             return following
-        return orthonormalised(interpolated(self._poses[-1], following, steps))
+        return orthonormalised(interpolated(self._poses[-1], following, steps * self._carries))
 
     def _registered(self, sights: Sequence[Sight], views: Sequence[ModelView], guess: Pose) -> Registration:
         """Register the frames of a moment with their views; return what they say together, before the base."""
@@ -566,6 +573,40 @@ def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
         return at.T_camera_object
     share = (frame - before[0]) / (after[0] - before[0])
     return interpolated(before[1].T_camera_object, after[1].T_camera_object, share)
+
+
+def bridged(found: Sequence[Located | None], blind: Sequence[bool], most: int) -> list[Located | None]:
+    """Return located frames with short runs of those without depth on the way between the frames about them.
+
+    What the picture alone says of a pose is worth less than that, but for long ways.
+
+    Parameters
+    ----------
+    found
+        Where an object is in every frame.
+    blind
+        Whether a frame has no depth.
+    most
+        Frames of a run at most.
+    """
+    result, start = list(found), 0
+    for stop in range(len(result) + 1):
+        if stop < len(result) and blind[stop]:
+            continue
+        before, after = (found[start - 1] if start else None), (found[stop] if stop < len(result) else None)
+        if 0 < stop - start <= most and before is not None and after is not None and _same_part(before, after):
+            ends = before.T_camera_object, after.T_camera_object
+            for frame in range(start, stop):
+                at = found[frame]
+                if at is not None and at.status == Status.WEAK:
+                    pose = interpolated(*ends, (frame - start + 1) / (stop - start + 1))
+                    result[frame] = replace(at, T_camera_object=pose, part=before.part)
+        start = stop + 1
+    return result
+
+
+def _same_part(before: Located, after: Located) -> bool:
+    return before.usable and after.usable and before.part == after.part
 
 
 def refound(

@@ -67,6 +67,8 @@ class RegistrationConfig:
         Largest angle between their normals.
     min_conditioning
         Directions with less information than this part of the best one keep the prediction.
+    weak_conditioning
+        With less in some direction a result is weak.
     min_samples
         Fewer associated samples are a loss.
     min_inliers, weak_inliers
@@ -93,6 +95,7 @@ class RegistrationConfig:
     coarse_angle_rad: float = 1.0
     fine_angle_rad: float = 0.7
     min_conditioning: float = 8e-3
+    weak_conditioning: float = 3e-3
     min_samples: int = 60
     min_inliers: float = 0.4
     weak_inliers: float = 0.6

@@ -174,11 +174,14 @@ class Scene:
         For each frame, the sensor that took it, and whether it did so at the moment of the frame before.
     repeated
         For each frame, whether it is a copy of the sensor's one before: it tells nothing new, and is not fused.
+    blind
+        For each frame, whether it has no depth at all.
     gains
         For each frame, units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless
         the encoder is causal, for others fit them later.
     luma_weight
-        Weight of luma against depth where objects are tracked; to be set before the first frame.
+        Weight of luma against depth where objects are tracked, no more than 1 for others than the background; to be set
+        before the first frame.
     """
 
     def __init__(
@@ -203,6 +206,7 @@ class Scene:
         self.sensors: list[int] = []
         self.together: list[bool] = []
         self.repeated: list[bool] = []
+        self.blind: list[bool] = []
         self.gains: list[NDArray[np.int64]] = []
         self.luma_weight = 1.0
         self._before: dict[int, Frame] = {}
@@ -260,6 +264,7 @@ class Scene:
         before = self._before.get(frame.sensor)
         self.repeated.append(before is not None and _same_pictures(frame, before))
         self._before[frame.sensor] = frame
+        self.blind.append(not frame.depth.any())
         if not self.distance_m and frame.depth.any():
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
         labels = self.labels(frame)
@@ -405,7 +410,7 @@ class Scene:
                 self.config.threads,
                 sensor_of=self.sensor_of,
                 lit_evenly=number == 0,
-                luma_weight=self.luma_weight,
+                luma_weight=self.luma_weight if number == 0 else min(self.luma_weight, 1.0),
                 patience=max(MIN_PATIENCE, round(self.info.fps)),
             )
         self.objects[number] = SceneObject(number, size, tracker)

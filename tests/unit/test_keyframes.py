@@ -83,3 +83,16 @@ def test_of_many_keyframes_the_most_alike_are_matched(monkeypatch: pytest.Monkey
     assert_near(few.find(ROOM[0])[0].T_camera_object, 0)
     brighter = replace(ROOM[29], color=(ROOM[29].color // 2 + 90).astype(np.uint8))
     assert_near(few.find(brighter)[0].T_camera_object, 29)
+
+
+def test_a_thinned_depth_picture_lifts_features_to_about_their_points() -> None:
+    wide = SyntheticSequence(make_scene("room", frames=30, size=(640, 480)))
+    frame, camera = wide[0], wide.info.rig.color
+    pixels = np.stack(np.meshgrid(np.arange(3, 640, 7.0), np.arange(3, 480, 7.0)), axis=-1).reshape(-1, 2)
+    depth = frame.depth[pixels[:, 1].astype(int), pixels[:, 0].astype(int)]
+    points, found = Keyframes(wide.info.rig)._lift(frame, np.ones(frame.depth.shape, dtype=np.bool_), pixels)
+    assert found[depth > 0].mean() > 0.95
+    seen = found & (depth > 0)
+    true = np.column_stack([camera.unproject_pixels(pixels), np.ones(len(pixels))]) * depth[:, None]
+    errors = np.linalg.norm(points - true, axis=1)[seen] / depth[seen]
+    assert np.median(errors) < 0.005

@@ -13,7 +13,7 @@ from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.decoder import Decoder
 from threedvc.encoder import Encoder
 from threedvc.frame import Frame
-from threedvc.motion import Located, joined_parts, pose_between
+from threedvc.motion import Located, bridged, joined_parts, pose_between
 from threedvc.pose import Pose, identity, inverse, make_pose
 from threedvc.scene import Scene
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -136,3 +136,20 @@ def test_a_lost_frame_is_between_its_neighbours_only_within_a_part() -> None:
     np.testing.assert_array_equal(pose_between([lost, far], 0), up)
     np.testing.assert_array_equal(pose_between([far, lost], 1), up)
     np.testing.assert_array_equal(pose_between([lost], 0), identity())
+
+
+def test_short_runs_without_depth_are_bridged() -> None:
+    def at(way: float, status: str = "tracked", part: int = 0) -> Located:
+        return Located(T_camera_object=make_pose(np.eye(3), np.array([way, 0, 0])), status=status, part=part)
+
+    def ways(found: list[Located | None], blind: list[bool], most: int = 3) -> list[float]:
+        return [float(each.T_camera_object[0, 3]) for each in bridged(found, blind, most) if each is not None]
+
+    weak = at(9.0, "weak")
+    run = [at(0.0), weak, weak, at(3.0), weak]
+    blind = [False, True, True, False, False]
+    assert ways(run, blind) == pytest.approx([0, 1, 2, 3, 9])
+    assert ways(run, blind, most=1) == pytest.approx([0, 9, 9, 3, 9])
+    assert ways([*run[:3], at(3.0, part=1)], blind[:4]) == pytest.approx([0, 9, 9, 3])
+    assert ways([weak, at(3.0), weak], [True, False, True]) == pytest.approx([9, 3, 9])
+    assert ways([], []) == []
