@@ -67,7 +67,8 @@ LEAST_WAY_M, LEAST_WAY = 0.02, 0.03
 GONE, AGREEMENT = 0.5, 0.7
 PASSING = 65535
 """Label of what moves and belongs to no body."""
-CELL_PIXELS = 2.0
+CELL_PIXELS, ROOM_CELLS = 2.0, 2.0
+COARSE_PIXELS = 60_000
 FUSION = FusionConfig()
 
 
@@ -134,7 +135,8 @@ class Divider:
         self.info, self.config, self.threads = info, config, config.threads
         self.reduction = Reduction(info)
         self.rig = self.reduction.rig
-        self._form = Thinned(self.rig, 1, sparse=False)
+        self._form, self._coarse = Thinned(self.rig, 1, sparse=False), Thinned(self.rig, 2, sparse=False)
+        self._of_room = self._coarse if self.rig.depth.width * self.rig.depth.height > COARSE_PIXELS else self._form
         self._rays = self.rig.depth.rays()
         self.sensor: SensorModel | None = None
         self.poses: list[Pose | None] = []
@@ -169,9 +171,9 @@ class Divider:
         if self._known:
             return None if frame.T_world_camera is None else inverse(frame.T_world_camera)
         everything = np.ones(frame.depth.shape, dtype=np.bool_)
-        views = FrameViews(frame, self._form, self._form)
+        views = FrameViews(frame, self._of_room, self._of_room)
         if self._room is None:
-            self._room, self._still = EvidenceModel(_cell(frame.depth, everything, self.rig)), everything
+            self._room, self._still = EvidenceModel(_room_cell(frame.depth, self.rig)), everything
             at = self._camera.start(views, everything, 0, self.rig)
         else:
             at = self._camera.locate(views, self._still, self._room)
@@ -180,7 +182,7 @@ class Divider:
             return None
         pose = at.T_camera_object
         before = [frame.index - k for k in NEAR_OFFSETS]
-        through, _ = self.memory.sights(frame.depth, everything, pose, before, self.pose_of)
+        through, _ = self.memory.sights(frame.depth, everything, pose, before, self.pose_of, sparse=True)
         moving = cv2.morphologyEx((through > 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         still = cv2.dilate(moving, np.ones((5, 5), np.uint8)) == 0
         fuse(self._room, observe(frame, self.rig, self._rays), still, pose, self.sensor, FUSION, self.threads)
@@ -249,7 +251,7 @@ class Divider:
                 there = self.pose_of(body.last)
                 if there is None:
                     continue
-                view = cast_view(body.model, self._form, room @ inverse(there) @ at, self.threads).depth
+                view = self._coarse_view(body, room @ inverse(there) @ at)
                 known = (view > 0) & (depth > 0)
                 empty = known & (depth > view + look.gate + np.float32(FINE_GATE) * depth)
                 if np.count_nonzero(empty) > max(LEAST_PIXELS / 2, GONE * np.count_nonzero(known)):
@@ -261,7 +263,8 @@ class Divider:
             return None
         assert self.sensor is not None
         depth = frame.depth
-        through, on = self.memory.sights(depth, depth > 0, pose, self._others(frame.index), self.pose_of)
+        others = self._others(frame.index)
+        through, on = self.memory.sights(depth, depth > 0, pose, others, self.pose_of, sparse=True)
         square = np.ones((3, 3), np.uint8)
         seen_through = _grown(depth, through).astype(np.uint8)
         core = np.asarray(cv2.dilate(cv2.morphologyEx(seen_through, cv2.MORPH_OPEN, square), square), dtype=np.uint8)
@@ -282,7 +285,8 @@ class Divider:
         """Find bodies that are followed where the frame shows them."""
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(COARSE_GATE) * depth
-        owner = self._nearest(look, [(body, body.predicted(index)) for body in bodies], gate)
+        views = [(body, self._coarse_view(body, body.predicted(index))) for body in bodies]
+        owner = self._nearest(look, views, gate)
         for body in bodies:
             mask = owner == body.number
             for group in _shares(look.groups, owner, body.number):
@@ -291,7 +295,9 @@ class Divider:
 
     def _locate(self, body: Body, look: _Look, mask: Mask) -> None:
         index = look.frame.index
-        at = body.tracker.locate(look.views, mask, body.model) if np.count_nonzero(mask) >= LEAST_PIXELS else None
+        at = None
+        if np.count_nonzero(mask) >= LEAST_PIXELS:
+            at = body.tracker.locate(look.views, mask, body.model, near=not self.is_object(body))
         if at is None or not at.usable:
             body.lost += 1
             patience = LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1
@@ -300,13 +306,20 @@ class Divider:
         body.lost = 0
         body.found[index] = at
 
-    def _nearest(self, look: _Look, poses: Sequence[tuple[Body, Pose]], gate: Floats) -> Labels:
+    def _view(self, body: Body, pose: Pose) -> Floats:
+        return cast_view(body.model, self._form, pose, self.threads).depth
+
+    def _coarse_view(self, body: Body, pose: Pose) -> Floats:
+        """Return what a quarter of the rays show, each for four pixels."""
+        depth, size = cast_view(body.model, self._coarse, pose, self.threads).depth, self.rig.depth
+        return depth.repeat(2, axis=0).repeat(2, axis=1)[: size.height, : size.width]
+
+    def _nearest(self, look: _Look, views: Sequence[tuple[Body, Floats]], gate: Floats) -> Labels:
         """Return for each moving pixel the number of the body at whose surface it lies, within a gate (h, w)."""
         depth = look.frame.depth
         least = np.ones(depth.shape, np.float32)
         owner, known = np.zeros(depth.shape, np.uint16), depth > 0
-        for body, pose in poses:
-            view = cast_view(body.model, self._form, pose, self.threads).depth
+        for body, view in views:
             off = _distance(depth, view) / np.maximum(gate, 1e-6)
             mine = look.moving
             if self.is_object(body):
@@ -321,7 +334,8 @@ class Divider:
         index, depth = look.frame.index, look.frame.depth
         found = [body for body in bodies if index in body.found]
         gate = look.gate + np.float32(FINE_GATE) * depth
-        look.labels = self._nearest(look, [(body, body.found[index].T_camera_object) for body in found], gate)
+        views = [(body, self._view(body, body.found[index].T_camera_object)) for body in found]
+        look.labels = self._nearest(look, views, gate)
         for body in found:
             self._extend(body, look)
 
@@ -376,7 +390,7 @@ class Divider:
             if at.status != Status.TRACKED:
                 body.tracker.resume(last)
                 continue
-            view = cast_view(body.model, self._form, at.T_camera_object, self.threads).depth
+            view = self._view(body, at.T_camera_object)
             near, shown = _distance(depth, view) < gate, (view > 0) & (depth > view - gate)
             alike = np.count_nonzero(near & mask) > AGREEMENT * np.count_nonzero(mask)
             if alike and np.count_nonzero(shown & near) > AGREEMENT * np.count_nonzero(shown):
@@ -488,8 +502,7 @@ class Divider:
             if room is None or there is None:
                 return None
             pose = room @ inverse(there) @ body.found[first].T_camera_object
-        view = cast_view(body.model, self._form, pose, self.threads).depth
-        depth = small.depth
+        view, depth = self._view(body, pose), small.depth
         gate = (GATE_SIGMAS * self.sensor.sigma_m(depth.astype(np.float64)) + FINE_GATE * depth).astype(np.float32)
         known = (view > 0) & (depth > 0)
         on, hidden = known & (np.abs(depth - view) < gate), known & (depth < view - gate)
@@ -508,11 +521,16 @@ class Divider:
                 fuse(body.model, look.seen, mask, pose, self.sensor, FUSION, self.threads)
 
 
-def _cell(depth: Floats, mask: Mask, rig: CameraRig) -> float:
+def _cell(depth: Floats, mask: Mask, rig: CameraRig, percentile: int = 75) -> float:
     """Return the edge of a cell that covers about two pixels of what is seen."""
     seen = depth[mask & (depth > 0)]
-    distance = float(np.percentile(seen, 75)) if len(seen) else 1.0
+    distance = float(np.percentile(seen, percentile)) if len(seen) else 1.0
     return max(round(CELL_PIXELS * distance / rig.depth.fx, 3), 0.002)
+
+
+def _room_cell(depth: Floats, rig: CameraRig) -> float:
+    """Return a cell that is good enough to find the camera: wider ones, but not where most is much nearer than some."""
+    return max(ROOM_CELLS * _cell(depth, depth > 0, rig, 50), _cell(depth, depth > 0, rig))
 
 
 def _surfaces(depth: Floats, chosen: Mask) -> NDArray[np.int32]:
