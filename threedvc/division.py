@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -116,21 +117,27 @@ class Division:
             self._keep(time_ns, index, self._unpacked(packed, np.uint16), gone)
         for body in divider.bodies:
             if body.number in self._numbers:
-                self._extend_back(body, frames)
+                self._extend_back(body, frames, [packed for _, packed, _ in raw])
 
-    def _extend_back(self, body: Body, frames: FrameSequence) -> None:
-        """Label an object by its finished model before it was known as one, back to where it stood still at first."""
+    def _extend_back(self, body: Body, frames: FrameSequence, raw: Sequence[bytes]) -> None:
+        """Label an object by its finished model before it was known as one, back to where it stood still at first.
+
+        Pixels that were given to no object, as the `raw` numbers of the bodies (h, w) have it, may turn out to be its.
+        """
         number = self._numbers[body.number]
         for index in range(body.proved or 0, -1, -1):
             if index > body.born and body.pose_of(index) is None:
                 continue
             frame = frames[index]
-            mask = self._divider.shown(body, frame)
-            if mask is None:
-                if index < body.born:
-                    return
-                continue
             labels = self._unpacked(self._labels[frame.timestamp_ns], np.uint8)
+            mask = self._divider.shown(body, frame)
+            if mask is None and index < body.born:
+                others = self._unpacked(raw[index], np.uint16)
+                mask = self._divider.caught(body, frame, (others > 0) & ((labels == 0) | (labels == NOTHING)))
+                if mask is None:
+                    return
+            if mask is None or not mask.any():
+                continue
             free = (labels == 0) | (labels == NOTHING)
             self._labels[frame.timestamp_ns] = zlib.compress(np.where(mask & free, np.uint8(number), labels).tobytes())
             self._seen[frame.timestamp_ns].add(number)

@@ -48,6 +48,8 @@ JOINED_FRAMES, NEARBY = 12, 3.0
 TOGETHER, TOGETHER_RAD, WAY_APART = 0.01, 0.06, 4.0
 """By how much of their distance and by what angle two bodies may move against each other to be one, if they went so
 many times as far."""
+IN_THE_WAY = 0.3
+"""Share of a body that other frames saw through where it would have been as a part of another: then it is none."""
 RECOGNITION_FRAMES, RECOGNITION_STEP = 60, 5
 VOTES, MOSTLY = 2, 0.6
 JUMP = 0.03
@@ -61,7 +63,9 @@ YOUNG_FRAMES = 10
 BORN, TRANSIENT = 0.25, 0.6
 """Shares of the frames that tell about a surface that must have seen through it, so that it may be a body, or that it
 certainly moves."""
-SEEN_TO_PASS = 0.5
+SEEN_TO_PASS, SEEN_TO_PASS_FAR = 0.5, 0.4
+FAR_SIZES, FAR_WAY = 2.0, 0.1
+"""What went farther than so many times its radius and such a part of its distance needs less evidence."""
 LEAST_FRAMES, LEAST_FIT = 10, 0.6
 LEAST_WAY_M, LEAST_WAY = 0.02, 0.03
 GONE, AGREEMENT = 0.5, 0.7
@@ -424,7 +428,8 @@ class Divider:
         here = [body for body in self.bodies if index in body.found and index >= body.born + JOINED_FRAMES]
         for k, body in enumerate(here):
             for old in here[:k]:
-                if old.same_as is None and body.same_as is None and self._together(old, body, index):
+                single = old.same_as is None and body.same_as is None
+                if single and self._together(old, body, index) and not self._came_together(old, body, look):
                     body.become(old, index)
                     look.labels[look.labels == body.number] = old.number
 
@@ -453,16 +458,33 @@ class Divider:
             )
         )
 
+    def _came_together(self, one: Body, other: Body, look: _Look) -> bool:
+        """Tell whether one of two bodies would have been in the way of what frames saw, had it moved with the other."""
+        index = look.frame.index
+        for body, with_other in ((one, other), (other, one)):
+            mask = look.labels == body.number
+            earlier = sorted(k for k in with_other.found if k < index - JOINED_FRAMES)
+            earlier = earlier[:: max(1, len(earlier) // len(NEAR_OFFSETS))]
+            pose = with_other.found[index].T_camera_object
+            through, _ = self.memory.sights(look.frame.depth, mask, pose, earlier, with_other.pose_of, whole=False)
+            if np.count_nonzero(through >= VOTES) > IN_THE_WAY * np.count_nonzero(mask):
+                return True
+        return False
+
     def is_object(self, body: Body) -> bool:
         """Tell whether a body moved as one, for long and far enough, through what other frames saw to be empty."""
         if body.proved is not None:
             return True
         frames = [k for k in body.found if body.pose_of(k) is not None]
-        passing = sum(share > SEEN_TO_PASS for share in body.passing.values())
-        if min(len(frames), passing) < LEAST_FRAMES or np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
+        shares = sorted(body.passing.values(), reverse=True)
+        if min(len(frames), len(shares)) < LEAST_FRAMES or shares[LEAST_FRAMES - 1] <= SEEN_TO_PASS_FAR:
             return False
-        way = self.way(body)
-        if way > max(LEAST_WAY_M, LEAST_WAY * float(body.found[frames[0]].T_camera_object[2, 3])):
+        if np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
+            return False
+        way, distance = self.way(body), float(body.found[frames[0]].T_camera_object[2, 3])
+        far = way > max(FAR_SIZES * body.radius, FAR_WAY * distance)
+        enough = far or shares[LEAST_FRAMES - 1] > SEEN_TO_PASS
+        if enough and way > max(LEAST_WAY_M, LEAST_WAY * distance):
             body.proved = max(frames)
         return body.proved is not None
 
@@ -492,9 +514,9 @@ class Divider:
     def shown(self, body: Body, frame: Frame) -> Mask | None:
         """Return the pixels (h, w) of a frame that show a body where it was found, or before that where it was first.
 
-        None if it was not there: most of what is seen of it must be measured, or hidden by something.
+        None if it was not there: most of what is not hidden by something must be seen. No pixel if all of it is hidden.
         """
-        small, first = self.limited(frame), body.born
+        small, first = self.limited(frame), min(body.found)
         assert self.sensor is not None
         pose = body.pose_of(frame.index)
         if pose is None:
@@ -506,9 +528,25 @@ class Divider:
         gate = (GATE_SIGMAS * self.sensor.sigma_m(depth.astype(np.float64)) + FINE_GATE * depth).astype(np.float32)
         known = (view > 0) & (depth > 0)
         on, hidden = known & (np.abs(depth - view) < gate), known & (depth < view - gate)
-        if np.count_nonzero(on) < max(LEAST_PIXELS, AGREEMENT * np.count_nonzero(known & ~hidden)):
+        open_to_view = np.count_nonzero(known & ~hidden)
+        if open_to_view < LEAST_PIXELS:
+            return np.zeros(depth.shape, dtype=np.bool_)
+        return np.asarray(on, dtype=np.bool_) if np.count_nonzero(on) >= AGREEMENT * open_to_view else None
+
+    def caught(self, body: Body, frame: Frame, free: Mask) -> Mask | None:
+        """Find a body with its finished model in a frame before it was first found, among free pixels (h, w)."""
+        if np.count_nonzero(free) < LEAST_PIXELS:
             return None
-        return np.asarray(on, dtype=np.bool_)
+        body.tracker.resume(body.found[min(body.found)].T_camera_object)
+        at = body.tracker.locate(FrameViews(self.limited(frame), self._form, self._form), free, body.model)
+        if at.status != Status.TRACKED:
+            return None
+        body.found[frame.index] = at
+        mask = self.shown(body, frame)
+        if mask is None or not np.any(mask):
+            del body.found[frame.index]
+            return None
+        return mask
 
     def _fuse(self, look: _Look) -> None:
         assert self.sensor is not None
