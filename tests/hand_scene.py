@@ -44,7 +44,9 @@ class Kept:
         return iter(self.frames)
 
 
-def pushing(frames: int = 90, size: tuple[int, int] = (320, 240), *, held: bool = False, seed: int = 0) -> Kept:
+def pushing(
+    frames: int = 90, size: tuple[int, int] = (320, 240), *, held: bool = False, limp: bool = False, seed: int = 0
+) -> Kept:
     """Render the sequence with a Kinect's noise; the hand appears in frame 2 or so and is gone after frame 76."""
     rng = np.random.default_rng([7, seed])
     box_x = 0.05 + 0.24 * np.array([_eased(k, "push") for k in range(frames)])
@@ -56,7 +58,7 @@ def pushing(frames: int = 90, size: tuple[int, int] = (320, 240), *, held: bool 
         bodies=(
             Body(label=BOX, parts=_parcel(rng), T_world_body=_slid(box_x, frames)),
             Body(label=BALL, parts=_ball(), T_world_body=_rolling(rolled)),
-            *_hand(frames),
+            *_hand(frames, limp),
         ),
         T_world_camera=_path(frames, held, rng),
         camera_moves=held,
@@ -139,18 +141,20 @@ def _rolling(way: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _hand(frames: int) -> Iterator[Body]:
-    """Yield forearm, palm and two joints of each of four fingers and the thumb; they bend as the hand moves."""
+def _hand(frames: int, limp: bool) -> Iterator[Body]:
+    """Yield forearm, palm and two joints of each finger; they bend as the hand moves, and flap if it is limp."""
     skin = textures.noise((214, 160, 132), (196, 140, 112), 0.02)
     sleeve = textures.noise((70, 84, 120), (56, 66, 100), 0.03)
     wrists = np.stack([_wrist(k) for k in range(frames)])
     bends = np.array([0.25 + 0.5 * np.sin(0.22 * k) ** 2 for k in range(frames)])
-    label = HAND
-    forearm = (capsule_between((0, 0, 0), (-0.6, 0.13, 0.25), 0.045, sleeve),)
+    label, flap = HAND, 5.0 if limp else 1.0
+    elbow = (-0.12, 0.03, 0.05) if limp else (-0.6, 0.13, 0.25)
+    forearm = (capsule_between((0, 0, 0), elbow, 0.045, sleeve),)
     palm = (Part(shape=box(0.10, 0.09, 0.035), texture=skin, T_body_part=at(0.05, 0, 0)),)
-    for parts, wave in ((forearm, 0.0), (palm, 0.15)):
+    for parts, wave in ((forearm, 0.1 * limp), (palm, 0.15)):
         turns = [
-            rotation_from_vector(np.array([0.0, wave * np.sin(0.3 * k), 0.1 * np.sin(0.11 * k)])) for k in range(frames)
+            rotation_from_vector(np.array([0.0, flap * wave * np.sin(0.3 * k), 0.1 * np.sin(0.11 * k)]))
+            for k in range(frames)
         ]
         yield Body(
             label=label,
@@ -165,7 +169,7 @@ def _hand(frames: int) -> Iterator[Body]:
         second = (capsule_between((0, 0, 0), (0.04, 0, 0), 0.0105, skin),)
         scripts: tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]] = ([], [])
         for k in range(frames):
-            bend = bends[k] * (1 + 0.25 * np.sin(0.4 * k + finger))
+            bend = bends[k] * (1 + 0.25 * flap * np.sin(0.4 * k + finger))
             knuckle = make_pose(np.eye(3), wrists[k]) @ make_pose(
                 rotation_from_vector(np.array([0.0, 0.0, spread])) @ rotation_from_vector(np.array([0.0, bend, 0.0])),
                 root,

@@ -26,6 +26,7 @@ from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
 __all__ = [
+    "PART_CELLS",
     "UNSEEN",
     "Located",
     "Script",

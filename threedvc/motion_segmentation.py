@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.body import LOST_FRAMES, Body
+from threedvc.body import HUES, LOST_FRAMES, Body
 from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, FusionConfig, Motion
 from threedvc.evidence_view import FrameViews, Thinned, cast_view
@@ -384,8 +384,11 @@ class Divider:
     def _returned(self, look: _Look, mask: Mask) -> Body | None:
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(FINE_GATE) * depth
+        hues = self._hues(look, mask)
         for body in self.bodies:
             if index in body.found or body.same_as is not None or not self.is_object(body):
+                continue
+            if not body.looks_like(hues):
                 continue
             last = body.found[body.last].T_camera_object
             # Where the body is seen as a whole: at its last pose it may be half out of the picture.
@@ -403,6 +406,14 @@ class Divider:
                 return body
             body.tracker.resume(last)
         return None
+
+    def _hues(self, look: _Look, mask: Mask) -> NDArray[np.float64]:
+        """Count the colours of pixels (h, w); none where the colour camera is another one."""
+        color = look.frame.color
+        if not self.rig.registered:
+            return np.zeros(HUES**3)
+        parts = color[mask].astype(np.intp) * HUES // 256
+        return np.bincount(parts @ np.array([1, HUES, HUES**2]), minlength=HUES**3).astype(np.float64)
 
     def _middle(self, look: _Look, mask: Mask) -> NDArray[np.float64]:
         z = look.frame.depth[mask].astype(np.float64)
@@ -556,6 +567,8 @@ class Divider:
             mask = look.labels == body.number
             if pose is not None and mask.any():
                 body.passing[index] = float(look.transient[mask].mean())
+                body.pixels[index] = int(np.count_nonzero(mask))
+                body.hues += self._hues(look, mask)
                 fuse(body.model, look.seen, mask, pose, self.sensor, FUSION, self.threads)
 
 
