@@ -27,8 +27,8 @@ LEAST_LIFE, MOST_LIFE = 3, 30
 """Frames that such a thing must be followed in a row, and after which it begins anew: it may have changed its shape."""
 LEAST_AREA = 0.002
 """Part of the picture that it must cover on an average."""
-LEAST_PASSING_BPS = 100_000
-"""Below this rate what passes is left out: its cells would take them from all others."""
+LEAST_PASSING_BPS = 24_000
+"""Below this rate what passes is left out: its cells would take more than a tenth from all others."""
 Whole = TypeVar("Whole", np.uint8, np.uint16)
 
 

@@ -246,7 +246,8 @@ class Scene:
             for look, sight in zip(looks, sights, strict=True):
                 frame = look.views.frame
                 item.record(frame.index, found)
-                if item.passing and item.born == frame.index:
+                if self.division is not None and number and item.born == frame.index:
+                    # Before, it was not there, or was taken for the background.
                     item.poses[:-1] = self._away_before(frame.index)
                 if found is not None and found.usable and not self.repeated[frame.index]:
                     T_camera_object = look.views.rig.at_sensor(found.T_camera_object)
