@@ -87,7 +87,8 @@ def _lives(report: StreamStatistics) -> Iterator[str]:
 def _name(item: ObjectStatistics) -> str:
     if item.background:
         return f"{item.id} background"
-    return f"{item.id} guessed" if item.guessed else str(item.id)
+    kind = " guessed" if item.guessed else " passing" if item.passing else ""
+    return f"{item.id}{kind}"
 
 
 def _events(items: Iterable[tuple[int | None, int]]) -> str:

@@ -72,6 +72,10 @@ class Course:
         return travel(poses, (cells.mean(axis=0) + 0.5) * model.voxel_size_m)
 
     def counts(self, models: Mapping[int, DecodedModel]) -> list[int]:
-        """Return for each frame how many objects it shows, the background and guessed ones left out."""
-        own = {number for number, model in models.items() if number != BACKGROUND and not model.guessed}
+        """Return for each frame how many objects it shows, the background, guessed and passing ones left out."""
+        own = {
+            number
+            for number, model in models.items()
+            if number != BACKGROUND and not model.guessed and not model.passing
+        }
         return [len(visible & own) for visible in self.visible]

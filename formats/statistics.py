@@ -69,6 +69,8 @@ class ObjectStatistics:
         Number of frames that carry a pose for it.
     guessed
         Whether it only fills holes of the background, in colour.
+    passing
+        Whether it stands for things that are there for a moment, such as hands.
     spans
         Frames in which it is visible, see `threedvc.formats.visibility`.
     birth, death
@@ -84,6 +86,7 @@ class ObjectStatistics:
     bytes: int
     poses: int
     guessed: bool = False
+    passing: bool = False
     spans: tuple[Span, ...] = ()
     birth: int | None = None
     death: int | None = None
@@ -241,8 +244,8 @@ class StreamStatistics:
 
     @property
     def object_count(self) -> int:
-        """Number of objects, without the background and what is guessed."""
-        return sum(not item.background and not item.guessed for item in self.objects)
+        """Number of objects, without the background, what is guessed and what only passes."""
+        return sum(not (item.background or item.guessed or item.passing) for item in self.objects)
 
     def to_map(self) -> dict[str, Any]:
         """Return the report as plain values; a number that is not finite becomes None."""
@@ -421,6 +424,7 @@ def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStati
                 bytes=tally.object_bytes[number],
                 poses=tally.poses[number],
                 guessed=model.guessed,
+                passing=model.passing,
                 spans=spans,
                 birth=spans[0].first if spans else None,
                 death=spans[-1].last if ended else None,

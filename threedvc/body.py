@@ -5,14 +5,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from threedvc.motion import Located, Tracker
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, inverse
 from threedvc.registration_starts import predict
 
-__all__ = ["LOST_FRAMES", "Body"]
+__all__ = ["HUES", "LOST_FRAMES", "Body"]
 
 LOST_FRAMES = 5
+HUES = 4
+"""Parts of each channel that colours are counted by."""
+LEAST_ALIKE = 0.4
 
 
 class Body:
@@ -25,6 +31,8 @@ class Body:
         self.found: dict[int, Located] = {}
         self.fit: dict[int, float] = {}
         self.passing: dict[int, float] = {}
+        self.pixels: dict[int, int] = {}
+        self.hues = np.zeros(HUES**3)
         self.gone = False
         self.proved: int | None = None
         self.radius = 0.0
@@ -32,6 +40,11 @@ class Body:
         self.dead = False
         self.same_as: Body | None = None
         self.compared_next = 0
+
+    def looks_like(self, hues: NDArray[np.float64]) -> bool:
+        """Tell whether enough of its colours are those counted in a histogram (HUES^3,)."""
+        sums = float(self.hues.sum()), float(hues.sum())
+        return not all(sums) or float(np.minimum(self.hues / sums[0], hues / sums[1]).sum()) > LEAST_ALIKE
 
     @property
     def last(self) -> int:

@@ -462,7 +462,11 @@ class Decoder:
         if header.object_id in self.models:
             raise CorruptStream(f"object {header.object_id} is introduced twice")
         self.models[header.object_id] = DecodedModel(
-            header.voxel_size_m, 1 << header.texture_bits, guessed=header.guessed, relief_bits=header.relief_bits
+            header.voxel_size_m,
+            1 << header.texture_bits,
+            guessed=header.guessed,
+            relief_bits=header.relief_bits,
+            passing=header.passing,
         )
         self._coders[header.object_id] = PoseCoder(*self._steps)
         self._scripts[header.object_id] = identity()

@@ -301,6 +301,7 @@ class Emitter:
                     texture_bits=0 if model.texture is None else model.texture.scale.bit_length() - 1,
                     guessed=guessed,
                     relief_bits=model.relief_bits,
+                    passing=item.passing,
                 ).packet()
             )
         sent = self._sent[number]
@@ -322,7 +323,8 @@ class Emitter:
             return DecodedModel(self._depths.voxel_size_m, relief_bits=RELIEF_BITS)
         plain, appearance = self._finished is None or guessed, self._config.appearance
         scale, relief_bits = (1, 0) if plain else (appearance.texture_scale, appearance.relief_bits or 0)
-        return DecodedModel(item.evidence.voxel_size_m, scale, guessed=guessed, relief_bits=relief_bits)
+        size = item.evidence.voxel_size_m
+        return DecodedModel(size, scale, guessed=guessed, relief_bits=relief_bits, passing=item.passing)
 
     def _model(self, sent: _Sent, frame: int, until_frame: int | None, room: float, last: bool) -> Iterator[Packet]:
         """Yield the model update of an object and the texture of its new cells, or the picture that makes cells."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from threedvc.camera import Camera
 from threedvc.fusion import camera_parameters
-from threedvc.kernels.free_space import count_sights
+from threedvc.kernels.free_space import count_sights, measure_misfits
 from threedvc.parallel import for_ranges
 from threedvc.pose import Pose, inverse
 from threedvc.registration_data import camera_rays
@@ -36,6 +36,7 @@ MISFIT_SCALES = 5.0
 count."""
 EVERY = 6
 LEAST_POINTS = 60
+FIRST_SLOTS = 128
 
 
 class Memory:
@@ -54,7 +55,9 @@ class Memory:
     def __init__(self, camera: Camera, sensor: SensorModel, threads: int) -> None:
         self.camera = camera
         self._sensor, self._threads = sensor, threads
-        self._pictures: dict[int, NDArray[np.uint16]] = {}
+        self._pictures = np.empty((FIRST_SLOTS, camera.height, camera.width, 2), np.uint16)
+        self._slots: dict[int, int] = {}
+        self._free = list(range(FIRST_SLOTS))
 
     def keep(self, frame: int, depth: NDArray[np.float32]) -> None:
         """Keep the depth (h, w) of a frame in metres."""
@@ -64,11 +67,22 @@ class Memory:
         near = cv2.erode(np.where(known, units, MAX_UNITS).astype(np.uint16), square)
         far = cv2.dilate(np.where(known, units, 0).astype(np.uint16), square)
         enough = cv2.blur(known.astype(np.float32), (WINDOW, WINDOW)) > 0.5
-        self._pictures[frame] = np.where(enough & known, np.stack([near, far]), 0).astype(np.uint16)
+        picture = self._pictures[self._slot(frame)]
+        picture[..., 0], picture[..., 1] = np.where(enough & known, near, 0), np.where(enough & known, far, 0)
+
+    def _slot(self, frame: int) -> int:
+        if not self._free:
+            count = len(self._pictures)
+            self._pictures = np.concatenate([self._pictures, np.empty_like(self._pictures)])
+            self._free = list(range(count, 2 * count))
+        self._slots[frame] = self._free.pop()
+        return self._slots[frame]
 
     def forget(self, frame: int) -> None:
         """Drop a frame, if it is there."""
-        self._pictures.pop(frame, None)
+        slot = self._slots.pop(frame, None)
+        if slot is not None:
+            self._free.append(slot)
 
     def sights(
         self,
@@ -79,6 +93,7 @@ class Memory:
         pose_of: Callable[[int], Pose | None],
         *,
         whole: bool = True,
+        sparse: bool = False,
     ) -> tuple[Counts, Counts]:
         """Count how many of some frames saw through the points of a frame, and how many saw them.
 
@@ -94,49 +109,74 @@ class Memory:
             Gives T_camera_object of any of them, or None.
         whole
             Whether most of the frame belongs to the object: then frames that do not fit it well count less.
+        sparse
+            Whether every other pixel of every other row is asked for first, and others only near those that were seen
+            through. What is three pixels wide is found like that.
 
         Returns
         -------
         tuple
             (h, w) uint8 each.
         """
-        asked = [(k, at) for k in others if k in self._pictures and (at := pose_of(k)) is not None]
+        asked = [(k, at) for k in others if k in self._slots and (at := pose_of(k)) is not None]
         through, on = np.zeros(depth.shape, np.uint8), np.zeros(depth.shape, np.uint8)
         if not asked:
             return through, on
         T = np.stack([at @ inverse(pose) for _, at in asked])
-        pictures = np.stack([self._pictures[k] for k, _ in asked], axis=1)
-        nearest, furthest = pictures[0], pictures[1]
-        s, still = self._sensor, np.array([np.array_equal(at, pose) for _, at in asked])
-        noise = MARGIN_SIGMAS * np.array([s.s0_m, s.s1, s.s2_per_m + s.quantum_per_m / np.sqrt(12)])
-        margins = np.tile(noise, (len(asked), 1))
-        misfits = self._misfits(depth, T, pictures) if whole else np.zeros(len(asked))
-        margins[:, 1] += np.where(still, STILL_MARGIN, np.maximum(MOVING_MARGIN, MISFIT_SCALES * misfits))
+        slots = np.array([self._slots[k] for k, _ in asked])
+        still = np.array([np.array_equal(at, pose) for _, at in asked])
+        margins = self._margins(depth, T, slots, still, whole)
         rays, parameters = camera_rays(self.camera), camera_parameters(self.camera)
 
-        def work(start: int, stop: int) -> None:
-            count_sights(
-                depth, rays, chosen, T, nearest, furthest, UNIT_M, parameters, margins, through, on, start, stop
-            )
+        def ask(some: NDArray[np.bool_]) -> None:
+            def work(start: int, stop: int) -> None:
+                count_sights(
+                    depth, rays, some, T, self._pictures, slots, UNIT_M, parameters, margins, through, on, start, stop
+                )
 
-        for_ranges(work, len(depth), self._threads)
+            for_ranges(work, len(depth), self._threads)
+
+        if not sparse:
+            ask(chosen)
+            return through, on
+        first = np.zeros_like(chosen)
+        first[::2, ::2] = chosen[::2, ::2]
+        ask(first)
+        near = cv2.dilate((through > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        ask(chosen & near & ~first)
         return through, on
 
+    def _margins(
+        self,
+        depth: NDArray[np.float32],
+        T: NDArray[np.float64],
+        slots: NDArray[np.int64],
+        still: NDArray[np.bool_],
+        whole: bool,
+    ) -> NDArray[np.float64]:
+        """Return the margins (n, 3) of `count_sights` for frames before a camera that stands still or not."""
+        s = self._sensor
+        margins = np.tile(
+            MARGIN_SIGMAS * np.array([s.s0_m, s.s1, s.s2_per_m + s.quantum_per_m / np.sqrt(12)]), (len(T), 1)
+        )
+        moving = np.full(len(T), MOVING_MARGIN)
+        if whole and not still.all():
+            moving[~still] = np.maximum(MOVING_MARGIN, MISFIT_SCALES * self._misfits(depth, T[~still], slots[~still]))
+        margins[:, 1] += np.where(still, STILL_MARGIN, moving)
+        return margins
+
     def _misfits(
-        self, depth: NDArray[np.float32], T: NDArray[np.float64], pictures: NDArray[np.uint16]
+        self, depth: NDArray[np.float32], T: NDArray[np.float64], slots: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """Return the median relative distance (n,) of the points from the surfaces of other frames."""
         some = depth[::EVERY, ::EVERY] > 0
         z = depth[::EVERY, ::EVERY][some].astype(np.float64)
         points = np.column_stack([camera_rays(self.camera)[::EVERY, ::EVERY][some] * z[:, None], z])
-        misfits = np.ones(len(T))
-        for number, transform in enumerate(T):
-            moved = points @ transform[:3, :3].T + transform[:3, 3]
-            moved = moved[np.max(np.abs(moved[:, :2]), axis=1) < 1.5 * moved[:, 2]]
-            columns, rows = np.rint(self.camera.project(moved)).astype(np.intp).T
-            inside = (columns >= 0) & (rows >= 0) & (columns < self.camera.width) & (rows < self.camera.height)
-            near, far = pictures[:, number, rows[inside], columns[inside]]
-            off = np.abs((near / 2 + far / 2) * UNIT_M / moved[inside, 2] - 1)[near > 0]
-            if len(off) >= LEAST_POINTS:
-                misfits[number] = np.median(off)
-        return misfits
+        off = np.empty((len(T), len(points)))
+
+        def work(start: int, stop: int) -> None:
+            measure_misfits(points, T, self._pictures, slots, UNIT_M, camera_parameters(self.camera), off, start, stop)
+
+        for_ranges(work, len(T), self._threads)
+        known = [row[np.isfinite(row)] for row in off]
+        return np.array([np.median(row) if len(row) >= LEAST_POINTS else 1.0 for row in known])

@@ -21,10 +21,12 @@ from threedvc.keyframes import Keyframes
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, interpolated, inverse, make_pose, orthonormalised, rotation_angle
 from threedvc.registration import ModelView, Registration, RegistrationConfig, Status, register, rests
+from threedvc.registration_data import camera_rays
 from threedvc.registration_starts import predict, register_from_starts
 from threedvc.sensor_model import SensorModel
 
 __all__ = [
+    "PART_CELLS",
     "UNSEEN",
     "Located",
     "Script",
@@ -247,7 +249,7 @@ class Tracker:
         if number:
             seen = mask & (frame.depth > 0)
             z = frame.depth[seen].astype(np.float64)
-            slopes = views.rig.depth.rays()[seen]
+            slopes = camera_rays(views.rig.depth)[seen]
             centre = np.array([np.median(slopes[:, 0] * z), np.median(slopes[:, 1] * z), np.median(z)])
             T = make_pose(np.eye(3), centre)
         if number:
@@ -258,16 +260,21 @@ class Tracker:
         self._found(frame, T)
         return Located(T_camera_object=T, status=Status.TRACKED)
 
-    def locate(self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel) -> Located:
-        """Register a frame against the evidence; where that fails, find the object again or say that it is lost."""
-        return self.locate_together([Sight(views, mask)], model)
+    def locate(
+        self, views: FrameViews, mask: NDArray[np.bool_], model: EvidenceModel, *, near: bool = False
+    ) -> Located:
+        """Register a frame against the evidence; where that fails, find the object again or say that it is lost.
 
-    def locate_together(self, sights: Sequence[Sight], model: EvidenceModel) -> Located:
+        With `near` only poses near the expected one count: that is quick where most objects will turn out to be none.
+        """
+        return self.locate_together([Sight(views, mask)], model, near=near)
+
+    def locate_together(self, sights: Sequence[Sight], model: EvidenceModel, *, near: bool = False) -> Located:
         """Register the frames of one moment, at least one, as `locate` does."""
         last, frame = self._poses[-1], sights[0].views.frame
         guess = self._guess(frame)
         views = [self._view(sight, model, last) for sight in sights]
-        found = self._registered(sights, views, guess)
+        found = self._registered(sights, views, guess, near=near)
         status = found.status
         if status is Status.LOST and self._carried(frame) and not any(map(_shows, sights, views)):
             return self._along(sights)
@@ -352,12 +359,15 @@ class Tracker:
             return following
         return orthonormalised(interpolated(self._poses[-1], following, steps * self._carries))
 
-    def _registered(self, sights: Sequence[Sight], views: Sequence[ModelView], guess: Pose) -> Registration:
+    def _registered(
+        self, sights: Sequence[Sight], views: Sequence[ModelView], guess: Pose, *, near: bool = False
+    ) -> Registration:
         """Register the frames of a moment with their views; return what they say together, before the base."""
         witnesses = []
         for (frame_views, mask), view in zip(sights, views, strict=True):
             seen, options, rig = _seen(frame_views, mask), self._options(frame_views), frame_views.rig
-            found = register_from_starts(*seen, view, rig.at_sensor(guess), **options)
+            search = register if near else register_from_starts
+            found = search(*seen, view, rig.at_sensor(guess), **options)
             witnesses.append(_Registered(found, seen, view, options, rig))
         return _joined(witnesses)
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.body import LOST_FRAMES, Body
+from threedvc.body import HUES, LOST_FRAMES, Body
 from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, FusionConfig, Motion
 from threedvc.evidence_view import FrameViews, Thinned, cast_view
@@ -48,6 +48,8 @@ JOINED_FRAMES, NEARBY = 12, 3.0
 TOGETHER, TOGETHER_RAD, WAY_APART = 0.01, 0.06, 4.0
 """By how much of their distance and by what angle two bodies may move against each other to be one, if they went so
 many times as far."""
+IN_THE_WAY = 0.3
+"""Share of a body that other frames saw through where it would have been as a part of another: then it is none."""
 RECOGNITION_FRAMES, RECOGNITION_STEP = 60, 5
 VOTES, MOSTLY = 2, 0.6
 JUMP = 0.03
@@ -61,13 +63,16 @@ YOUNG_FRAMES = 10
 BORN, TRANSIENT = 0.25, 0.6
 """Shares of the frames that tell about a surface that must have seen through it, so that it may be a body, or that it
 certainly moves."""
-SEEN_TO_PASS = 0.5
+SEEN_TO_PASS, SEEN_TO_PASS_FAR = 0.5, 0.4
+FAR_SIZES, FAR_WAY = 2.0, 0.1
+"""What went farther than so many times its radius and such a part of its distance needs less evidence."""
 LEAST_FRAMES, LEAST_FIT = 10, 0.6
 LEAST_WAY_M, LEAST_WAY = 0.02, 0.03
 GONE, AGREEMENT = 0.5, 0.7
 PASSING = 65535
 """Label of what moves and belongs to no body."""
-CELL_PIXELS = 2.0
+CELL_PIXELS, ROOM_CELLS = 2.0, 2.0
+COARSE_PIXELS = 60_000
 FUSION = FusionConfig()
 
 
@@ -134,7 +139,8 @@ class Divider:
         self.info, self.config, self.threads = info, config, config.threads
         self.reduction = Reduction(info)
         self.rig = self.reduction.rig
-        self._form = Thinned(self.rig, 1, sparse=False)
+        self._form, self._coarse = Thinned(self.rig, 1, sparse=False), Thinned(self.rig, 2, sparse=False)
+        self._of_room = self._coarse if self.rig.depth.width * self.rig.depth.height > COARSE_PIXELS else self._form
         self._rays = self.rig.depth.rays()
         self.sensor: SensorModel | None = None
         self.poses: list[Pose | None] = []
@@ -169,9 +175,9 @@ class Divider:
         if self._known:
             return None if frame.T_world_camera is None else inverse(frame.T_world_camera)
         everything = np.ones(frame.depth.shape, dtype=np.bool_)
-        views = FrameViews(frame, self._form, self._form)
+        views = FrameViews(frame, self._of_room, self._of_room)
         if self._room is None:
-            self._room, self._still = EvidenceModel(_cell(frame.depth, everything, self.rig)), everything
+            self._room, self._still = EvidenceModel(_room_cell(frame.depth, self.rig)), everything
             at = self._camera.start(views, everything, 0, self.rig)
         else:
             at = self._camera.locate(views, self._still, self._room)
@@ -180,7 +186,7 @@ class Divider:
             return None
         pose = at.T_camera_object
         before = [frame.index - k for k in NEAR_OFFSETS]
-        through, _ = self.memory.sights(frame.depth, everything, pose, before, self.pose_of)
+        through, _ = self.memory.sights(frame.depth, everything, pose, before, self.pose_of, sparse=True)
         moving = cv2.morphologyEx((through > 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         still = cv2.dilate(moving, np.ones((5, 5), np.uint8)) == 0
         fuse(self._room, observe(frame, self.rig, self._rays), still, pose, self.sensor, FUSION, self.threads)
@@ -249,7 +255,7 @@ class Divider:
                 there = self.pose_of(body.last)
                 if there is None:
                     continue
-                view = cast_view(body.model, self._form, room @ inverse(there) @ at, self.threads).depth
+                view = self._coarse_view(body, room @ inverse(there) @ at)
                 known = (view > 0) & (depth > 0)
                 empty = known & (depth > view + look.gate + np.float32(FINE_GATE) * depth)
                 if np.count_nonzero(empty) > max(LEAST_PIXELS / 2, GONE * np.count_nonzero(known)):
@@ -261,7 +267,8 @@ class Divider:
             return None
         assert self.sensor is not None
         depth = frame.depth
-        through, on = self.memory.sights(depth, depth > 0, pose, self._others(frame.index), self.pose_of)
+        others = self._others(frame.index)
+        through, on = self.memory.sights(depth, depth > 0, pose, others, self.pose_of, sparse=True)
         square = np.ones((3, 3), np.uint8)
         seen_through = _grown(depth, through).astype(np.uint8)
         core = np.asarray(cv2.dilate(cv2.morphologyEx(seen_through, cv2.MORPH_OPEN, square), square), dtype=np.uint8)
@@ -282,7 +289,8 @@ class Divider:
         """Find bodies that are followed where the frame shows them."""
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(COARSE_GATE) * depth
-        owner = self._nearest(look, [(body, body.predicted(index)) for body in bodies], gate)
+        views = [(body, self._coarse_view(body, body.predicted(index))) for body in bodies]
+        owner = self._nearest(look, views, gate)
         for body in bodies:
             mask = owner == body.number
             for group in _shares(look.groups, owner, body.number):
@@ -291,7 +299,9 @@ class Divider:
 
     def _locate(self, body: Body, look: _Look, mask: Mask) -> None:
         index = look.frame.index
-        at = body.tracker.locate(look.views, mask, body.model) if np.count_nonzero(mask) >= LEAST_PIXELS else None
+        at = None
+        if np.count_nonzero(mask) >= LEAST_PIXELS:
+            at = body.tracker.locate(look.views, mask, body.model, near=not self.is_object(body))
         if at is None or not at.usable:
             body.lost += 1
             patience = LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1
@@ -300,13 +310,20 @@ class Divider:
         body.lost = 0
         body.found[index] = at
 
-    def _nearest(self, look: _Look, poses: Sequence[tuple[Body, Pose]], gate: Floats) -> Labels:
+    def _view(self, body: Body, pose: Pose) -> Floats:
+        return cast_view(body.model, self._form, pose, self.threads).depth
+
+    def _coarse_view(self, body: Body, pose: Pose) -> Floats:
+        """Return what a quarter of the rays show, each for four pixels."""
+        depth, size = cast_view(body.model, self._coarse, pose, self.threads).depth, self.rig.depth
+        return depth.repeat(2, axis=0).repeat(2, axis=1)[: size.height, : size.width]
+
+    def _nearest(self, look: _Look, views: Sequence[tuple[Body, Floats]], gate: Floats) -> Labels:
         """Return for each moving pixel the number of the body at whose surface it lies, within a gate (h, w)."""
         depth = look.frame.depth
         least = np.ones(depth.shape, np.float32)
         owner, known = np.zeros(depth.shape, np.uint16), depth > 0
-        for body, pose in poses:
-            view = cast_view(body.model, self._form, pose, self.threads).depth
+        for body, view in views:
             off = _distance(depth, view) / np.maximum(gate, 1e-6)
             mine = look.moving
             if self.is_object(body):
@@ -321,7 +338,8 @@ class Divider:
         index, depth = look.frame.index, look.frame.depth
         found = [body for body in bodies if index in body.found]
         gate = look.gate + np.float32(FINE_GATE) * depth
-        look.labels = self._nearest(look, [(body, body.found[index].T_camera_object) for body in found], gate)
+        views = [(body, self._view(body, body.found[index].T_camera_object)) for body in found]
+        look.labels = self._nearest(look, views, gate)
         for body in found:
             self._extend(body, look)
 
@@ -366,8 +384,11 @@ class Divider:
     def _returned(self, look: _Look, mask: Mask) -> Body | None:
         index, depth = look.frame.index, look.frame.depth
         gate = look.gate + np.float32(FINE_GATE) * depth
+        hues = self._hues(look, mask)
         for body in self.bodies:
             if index in body.found or body.same_as is not None or not self.is_object(body):
+                continue
+            if not body.looks_like(hues):
                 continue
             last = body.found[body.last].T_camera_object
             # Where the body is seen as a whole: at its last pose it may be half out of the picture.
@@ -376,7 +397,7 @@ class Divider:
             if at.status != Status.TRACKED:
                 body.tracker.resume(last)
                 continue
-            view = cast_view(body.model, self._form, at.T_camera_object, self.threads).depth
+            view = self._view(body, at.T_camera_object)
             near, shown = _distance(depth, view) < gate, (view > 0) & (depth > view - gate)
             alike = np.count_nonzero(near & mask) > AGREEMENT * np.count_nonzero(mask)
             if alike and np.count_nonzero(shown & near) > AGREEMENT * np.count_nonzero(shown):
@@ -385,6 +406,14 @@ class Divider:
                 return body
             body.tracker.resume(last)
         return None
+
+    def _hues(self, look: _Look, mask: Mask) -> NDArray[np.float64]:
+        """Count the colours of pixels (h, w); none where the colour camera is another one."""
+        color = look.frame.color
+        if not self.rig.registered:
+            return np.zeros(HUES**3)
+        parts = color[mask].astype(np.intp) * HUES // 256
+        return np.bincount(parts @ np.array([1, HUES, HUES**2]), minlength=HUES**3).astype(np.float64)
 
     def _middle(self, look: _Look, mask: Mask) -> NDArray[np.float64]:
         z = look.frame.depth[mask].astype(np.float64)
@@ -410,7 +439,8 @@ class Divider:
         here = [body for body in self.bodies if index in body.found and index >= body.born + JOINED_FRAMES]
         for k, body in enumerate(here):
             for old in here[:k]:
-                if old.same_as is None and body.same_as is None and self._together(old, body, index):
+                single = old.same_as is None and body.same_as is None
+                if single and self._together(old, body, index) and not self._came_together(old, body, look):
                     body.become(old, index)
                     look.labels[look.labels == body.number] = old.number
 
@@ -439,16 +469,33 @@ class Divider:
             )
         )
 
+    def _came_together(self, one: Body, other: Body, look: _Look) -> bool:
+        """Tell whether one of two bodies would have been in the way of what frames saw, had it moved with the other."""
+        index = look.frame.index
+        for body, with_other in ((one, other), (other, one)):
+            mask = look.labels == body.number
+            earlier = sorted(k for k in with_other.found if k < index - JOINED_FRAMES)
+            earlier = earlier[:: max(1, len(earlier) // len(NEAR_OFFSETS))]
+            pose = with_other.found[index].T_camera_object
+            through, _ = self.memory.sights(look.frame.depth, mask, pose, earlier, with_other.pose_of, whole=False)
+            if np.count_nonzero(through >= VOTES) > IN_THE_WAY * np.count_nonzero(mask):
+                return True
+        return False
+
     def is_object(self, body: Body) -> bool:
         """Tell whether a body moved as one, for long and far enough, through what other frames saw to be empty."""
         if body.proved is not None:
             return True
         frames = [k for k in body.found if body.pose_of(k) is not None]
-        passing = sum(share > SEEN_TO_PASS for share in body.passing.values())
-        if min(len(frames), passing) < LEAST_FRAMES or np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
+        shares = sorted(body.passing.values(), reverse=True)
+        if min(len(frames), len(shares)) < LEAST_FRAMES or shares[LEAST_FRAMES - 1] <= SEEN_TO_PASS_FAR:
             return False
-        way = self.way(body)
-        if way > max(LEAST_WAY_M, LEAST_WAY * float(body.found[frames[0]].T_camera_object[2, 3])):
+        if np.mean([body.fit.get(k, 1.0) for k in frames]) < LEAST_FIT:
+            return False
+        way, distance = self.way(body), float(body.found[frames[0]].T_camera_object[2, 3])
+        far = way > max(FAR_SIZES * body.radius, FAR_WAY * distance)
+        enough = far or shares[LEAST_FRAMES - 1] > SEEN_TO_PASS
+        if enough and way > max(LEAST_WAY_M, LEAST_WAY * distance):
             body.proved = max(frames)
         return body.proved is not None
 
@@ -478,9 +525,9 @@ class Divider:
     def shown(self, body: Body, frame: Frame) -> Mask | None:
         """Return the pixels (h, w) of a frame that show a body where it was found, or before that where it was first.
 
-        None if it was not there: most of what is seen of it must be measured, or hidden by something.
+        None if it was not there: most of what is not hidden by something must be seen. No pixel if all of it is hidden.
         """
-        small, first = self.limited(frame), body.born
+        small, first = self.limited(frame), min(body.found)
         assert self.sensor is not None
         pose = body.pose_of(frame.index)
         if pose is None:
@@ -488,14 +535,29 @@ class Divider:
             if room is None or there is None:
                 return None
             pose = room @ inverse(there) @ body.found[first].T_camera_object
-        view = cast_view(body.model, self._form, pose, self.threads).depth
-        depth = small.depth
+        view, depth = self._view(body, pose), small.depth
         gate = (GATE_SIGMAS * self.sensor.sigma_m(depth.astype(np.float64)) + FINE_GATE * depth).astype(np.float32)
         known = (view > 0) & (depth > 0)
         on, hidden = known & (np.abs(depth - view) < gate), known & (depth < view - gate)
-        if np.count_nonzero(on) < max(LEAST_PIXELS, AGREEMENT * np.count_nonzero(known & ~hidden)):
+        open_to_view = np.count_nonzero(known & ~hidden)
+        if open_to_view < LEAST_PIXELS:
+            return np.zeros(depth.shape, dtype=np.bool_)
+        return np.asarray(on, dtype=np.bool_) if np.count_nonzero(on) >= AGREEMENT * open_to_view else None
+
+    def caught(self, body: Body, frame: Frame, free: Mask) -> Mask | None:
+        """Find a body with its finished model in a frame before it was first found, among free pixels (h, w)."""
+        if np.count_nonzero(free) < LEAST_PIXELS:
             return None
-        return np.asarray(on, dtype=np.bool_)
+        body.tracker.resume(body.found[min(body.found)].T_camera_object)
+        at = body.tracker.locate(FrameViews(self.limited(frame), self._form, self._form), free, body.model)
+        if at.status != Status.TRACKED:
+            return None
+        body.found[frame.index] = at
+        mask = self.shown(body, frame)
+        if mask is None or not np.any(mask):
+            del body.found[frame.index]
+            return None
+        return mask
 
     def _fuse(self, look: _Look) -> None:
         assert self.sensor is not None
@@ -505,14 +567,21 @@ class Divider:
             mask = look.labels == body.number
             if pose is not None and mask.any():
                 body.passing[index] = float(look.transient[mask].mean())
+                body.pixels[index] = int(np.count_nonzero(mask))
+                body.hues += self._hues(look, mask)
                 fuse(body.model, look.seen, mask, pose, self.sensor, FUSION, self.threads)
 
 
-def _cell(depth: Floats, mask: Mask, rig: CameraRig) -> float:
+def _cell(depth: Floats, mask: Mask, rig: CameraRig, percentile: int = 75) -> float:
     """Return the edge of a cell that covers about two pixels of what is seen."""
     seen = depth[mask & (depth > 0)]
-    distance = float(np.percentile(seen, 75)) if len(seen) else 1.0
+    distance = float(np.percentile(seen, percentile)) if len(seen) else 1.0
     return max(round(CELL_PIXELS * distance / rig.depth.fx, 3), 0.002)
+
+
+def _room_cell(depth: Floats, rig: CameraRig) -> float:
+    """Return a cell that is good enough to find the camera: wider ones, but not where most is much nearer than some."""
+    return max(ROOM_CELLS * _cell(depth, depth > 0, rig, 50), _cell(depth, depth > 0, rig))
 
 
 def _surfaces(depth: Floats, chosen: Mask) -> NDArray[np.int32]:

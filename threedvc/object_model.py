@@ -49,6 +49,8 @@ class DecodedModel:
         (blocks, 512, 3) int16 RGB; 0 in empty cells.
     guessed
         Whether its shape is a guess, drawn in colour only and behind all others.
+    passing
+        Whether it stands for things that are there for a moment.
     planes
         (blocks, 512, 4) int8 planes of the occupied cells, as of the last call of `fit_planes`.
     relief
@@ -62,11 +64,17 @@ class DecodedModel:
     """
 
     def __init__(
-        self, voxel_size_m: float, texture_scale: int = 1, *, guessed: bool = False, relief_bits: int = 0
+        self,
+        voxel_size_m: float,
+        texture_scale: int = 1,
+        *,
+        guessed: bool = False,
+        relief_bits: int = 0,
+        passing: bool = False,
     ) -> None:
         self.voxel_size_m = voxel_size_m
         self.relief_bits = relief_bits
-        self.guessed = guessed
+        self.guessed, self.passing = guessed, passing
         self.texture = Texture(texture_scale) if texture_scale > 1 else None
         self.index = BlockIndex()
         self.occupied = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)

@@ -343,6 +343,9 @@ class ObjectHeader(Header):
         behind all others.
     relief_bits
         In how many places of a cell the surface may pass, as a power of two; 0: through its centre.
+    passing
+        Whether it stands for things that are there for a moment, such as hands: one after the other, each with cells of
+        its own.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.OBJECT
@@ -352,6 +355,7 @@ class ObjectHeader(Header):
     texture_bits: int = key("t", integer(0, MAX_TEXTURE_BITS), default=0)
     guessed: bool = key("g", flag(), default=False)
     relief_bits: int = key("r", integer(0, MAX_RELIEF_BITS), default=0)
+    passing: bool = key("p", flag(), default=False)
 
 
 @dataclass(frozen=True, kw_only=True)

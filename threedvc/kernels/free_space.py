@@ -9,10 +9,26 @@ from numpy.typing import NDArray
 from threedvc.kernels import kernel
 from threedvc.kernels.fusion import project_point
 
-__all__ = ["connect_surfaces", "count_sights", "spread_labels"]
+__all__ = ["connect_surfaces", "count_sights", "measure_misfits", "spread_labels"]
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
+
+
+@kernel
+def pixel_of(x, y, z, T, camera, width, height):
+    """Return row, column and depth of a point before another camera; row -1 where it is not in the picture."""
+    pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+    py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+    # Far outside the picture a distortion polynomial may fold back into it.
+    if pz < 0.05 or abs(px) > 1.5 * pz or abs(py) > 1.5 * pz:
+        return -1, 0, pz
+    fu, fv = project_point(px, py, pz, camera)
+    c, r = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
+    if c < 0 or r < 0 or c >= width or r >= height:
+        return -1, 0, pz
+    return r, c, pz
 
 
 @kernel
@@ -21,8 +37,8 @@ def count_sights(
     rays: Doubles,
     chosen: NDArray[np.bool_],
     T_other_frame: Doubles,
-    nearest: NDArray[np.uint16],
-    furthest: NDArray[np.uint16],
+    pictures: NDArray[np.uint16],
+    slots: NDArray[np.int64],
     unit_m: float,
     camera: Doubles,
     margins: Doubles,
@@ -31,7 +47,7 @@ def count_sights(
     start: int,
     stop: int,
 ) -> None:
-    """Count for the points of rows ``start..stop`` how many other frames saw through them, and how many saw them.
+    """Count for chosen pixels of rows ``start..stop`` how many other frames saw through them, and how many saw them.
 
     Parameters
     ----------
@@ -39,44 +55,64 @@ def count_sights(
         (h, w) metres, (h, w, 2) slopes, and which pixels count.
     T_other_frame
         (n, 4, 4): where the points would be before the camera of each other frame.
-    nearest, furthest
-        (n, h, w) least and largest depth about each pixel of the other frames in units of `unit_m`, 0 = unknown; the
-        camera is the same.
+    pictures, slots
+        (m, h, w, 2) least and largest depth about each pixel of frames in units of `unit_m`, 0 = unknown; the (n,)
+        places of the other frames among them. The camera is the same.
     camera
         (10,) parameters of the camera.
     margins
         (n, 3): a point is seen through that lies nearer than the nearest depth z there by more than
         ``a + b z + c z^2``, and seen unless it lies behind the furthest by more than that.
     through, on
-        (h, w) counts out.
+        (h, w) counts out; pixels that are not chosen are left as they are.
     """
     height, width = depth.shape
     for v in range(start, stop):
         for u in range(width):
-            through[v, u], on[v, u] = 0, 0
             z = np.float64(depth[v, u])
-            if not z > 0.0 or not chosen[v, u]:
+            if not chosen[v, u] or not z > 0.0:
                 continue
             x, y = rays[v, u, 0] * z, rays[v, u, 1] * z
-            for k in range(T_other_frame.shape[0]):
-                T = T_other_frame[k]
-                pz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-                if pz < 0.05:
+            passed, met = 0, 0
+            for k in range(len(slots)):
+                r, c, pz = pixel_of(x, y, z, T_other_frame[k], camera, width, height)
+                if r < 0:
                     continue
-                px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-                py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-                # Far outside the picture a distortion polynomial may fold back into it.
-                if abs(px) > 1.5 * pz or abs(py) > 1.5 * pz:
-                    continue
-                fu, fv = project_point(px, py, pz, camera)
-                c, r = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
-                if c < 0 or r < 0 or c >= width or r >= height or nearest[k, r, c] == 0:
+                near, far = pictures[slots[k], r, c, 0], pictures[slots[k], r, c, 1]
+                if near == 0:
                     continue
                 margin = margins[k, 0] + pz * (margins[k, 1] + pz * margins[k, 2])
-                if pz < nearest[k, r, c] * unit_m - margin:
-                    through[v, u] += 1
-                elif pz < furthest[k, r, c] * unit_m + margin:
-                    on[v, u] += 1
+                if pz < near * unit_m - margin:
+                    passed += 1
+                elif pz < far * unit_m + margin:
+                    met += 1
+            through[v, u], on[v, u] = passed, met
+
+
+@kernel
+def measure_misfits(
+    points: Doubles,
+    T_other_frame: Doubles,
+    pictures: NDArray[np.uint16],
+    slots: NDArray[np.int64],
+    unit_m: float,
+    camera: Doubles,
+    misfits: Doubles,
+    start: int,
+    stop: int,
+) -> None:
+    """Measure how far points (p, 3) lie from what the other frames ``start..stop`` show at them, in parts of the depth.
+
+    Other parameters are those of `count_sights`; `misfits` (n, p) is infinite where a frame shows nothing.
+    """
+    height, width = pictures.shape[1], pictures.shape[2]
+    for k in range(start, stop):
+        for p in range(len(points)):
+            misfits[k, p] = np.inf
+            r, c, pz = pixel_of(points[p, 0], points[p, 1], points[p, 2], T_other_frame[k], camera, width, height)
+            if r >= 0 and pictures[slots[k], r, c, 0] > 0:
+                middle = 0.5 * (np.float64(pictures[slots[k], r, c, 0]) + np.float64(pictures[slots[k], r, c, 1]))
+                misfits[k, p] = abs(middle * unit_m / pz - 1.0)
 
 
 @kernel

@@ -42,6 +42,25 @@ def interpolate(x, y, z, tables, distance, weight):
 
 
 @kernel
+def slope_within(x, y, z, tables, distance, weight, gradient):
+    """Take the gradient of the signed distance at (x, y, z) from the eight cells around; tell if all are known."""
+    root_origin, root, supers = tables
+    ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+    ax, ay, az = x - ix, y - iy, z - iz
+    gradient[:] = 0.0
+    for k in range(8):
+        dx, dy, dz = k & 1, (k >> 1) & 1, k >> 2
+        cell = find_cell(ix + dx, iy + dy, iz + dz, root_origin, root, supers)
+        if cell < 0 or weight[cell] <= 0.0:
+            return False
+        sx, sy, sz = ax if dx else 1.0 - ax, ay if dy else 1.0 - ay, az if dz else 1.0 - az
+        gradient[0] += (2 * dx - 1) * sy * sz * distance[cell]
+        gradient[1] += (2 * dy - 1) * sx * sz * distance[cell]
+        gradient[2] += (2 * dz - 1) * sx * sy * distance[cell]
+    return True
+
+
+@kernel
 def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight):
     """Return the depth at which a ray passes from the front of a known surface to its back, or 0."""
     root_origin, root, supers = tables
@@ -132,7 +151,8 @@ def cast_evidence(
             behind = interpolate(x - ex, y - ey, z - ez, tables, distance, weight)
             known = known and ahead < UNKNOWN and behind < UNKNOWN
             gradient[axis] = ahead - behind
-        if not known:
+        # Behind a surface seen at a flat angle little is known.
+        if not known and not slope_within(x, y, z, tables, distance, weight, gradient):
             continue
         length = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
         facing = gradient[0] * dx + gradient[1] * dy + gradient[2] * dz
