@@ -67,7 +67,8 @@ class Memory:
         near = cv2.erode(np.where(known, units, MAX_UNITS).astype(np.uint16), square)
         far = cv2.dilate(np.where(known, units, 0).astype(np.uint16), square)
         enough = cv2.blur(known.astype(np.float32), (WINDOW, WINDOW)) > 0.5
-        picture = self._pictures[self._slot(frame)]
+        slot = self._slot(frame)  # may replace the pictures
+        picture = self._pictures[slot]
         picture[..., 0], picture[..., 1] = np.where(enough & known, near, 0), np.where(enough & known, far, 0)
 
     def _slot(self, frame: int) -> int:

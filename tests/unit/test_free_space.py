@@ -105,3 +105,14 @@ def test_labels_of_all_pixels_follow_the_depth() -> None:
     expected[BOX] = 3
     known = depth > 0
     np.testing.assert_array_equal(labels[known], expected[known])
+
+
+def test_any_number_of_frames_is_kept_and_forgotten() -> None:
+    kept = memory(*([wall(1.2)] * 300))
+    for index in range(200):
+        kept.forget(index)
+    for index in range(300, 600):
+        kept.keep(index, wall())
+    through, on = kept.sights(wall(1.2), ALL, identity(), [0, 250, 299, 300, 599], resting)
+    assert through.max() == 2
+    assert on.max() == 2
