@@ -16,13 +16,13 @@ from threedvc.frame import Frame, FrameSequence, SequenceInfo
 from threedvc.motion_segmentation import PASSING, TRANSIENT, Divider
 from threedvc.pose import Pose, inverse
 
-__all__ = ["NOTHING", "PASSING_NUMBERS", "Division", "Passing"]
+__all__ = ["MOST_LOST", "NOTHING", "PASSING_NUMBERS", "Division", "Passing"]
 
 NOTHING = 255
 """Label of pixels that belong neither to the background nor to an object, such as of hands."""
 MAX_OBJECTS = 200
 MOST_LOST = 0.05
-"""Part of the frames in which the camera may be lost; where it is lost more often, what seems to move may not."""
+"""Part of the frames in which the camera, or an object, may be lost; else what seems to move may not be rigid."""
 PASSING_NUMBERS = range(240, 255)
 """Numbers of objects that stand for things which are there for a moment, one after the other."""
 LEAST_LIFE, MOST_LIFE = 3, 30

@@ -18,7 +18,7 @@ import numpy as np
 
 from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode, with_step
 from threedvc.decoder import Decoder
-from threedvc.division import Division
+from threedvc.division import MOST_LOST, Division
 from threedvc.emitter import Emitter
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.filtering import FILTER_BYTES, fitted_filter
@@ -42,7 +42,7 @@ from threedvc.rate_control import (
     surface_room,
 )
 from threedvc.refinement import calibrated_info, depth_misfit, refined_script
-from threedvc.registration import RegistrationConfig
+from threedvc.registration import RegistrationConfig, Status
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
 from threedvc.settling import settled
@@ -121,6 +121,7 @@ class Encoder:
             yield from self._live(frames, on_frame)
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
+        undivided = self.config
         if again and self._may_divide:
             self._divide(cast(FrameSequence, frames))
         elif again and self.scene.division is not None:
@@ -128,6 +129,10 @@ class Encoder:
         if again and self.config.refine:
             self.scene.luma_weight = DOUBTED_LUMA
         self._fuse_all(frames, on_frame)
+        if self.config is not undivided and self._loses_often:
+            self.config, self.scene = undivided, Scene(self.info, undivided)
+            self.scene.luma_weight = DOUBTED_LUMA
+            self._fuse_all(frames, on_frame)
         if again and self.config.refine:
             self._join_parts(cast(FrameSequence, frames), on_frame)
         if again:
@@ -147,6 +152,11 @@ class Encoder:
         info, asked = self.info, self.config.segmentation.mode
         told = info.has_masks or info.has_object_poses or bool(info.sensors)
         return asked is SegmentationMode.AUTO and self.config.refine and not told
+
+    @property
+    def _loses_often(self) -> bool:
+        """Whether something is lost in so many frames that it is no rigid object: surfaces that shine seem to move."""
+        return sum(report.status == Status.LOST for report in self.reports) > MOST_LOST * len(self.reports)
 
     def _divide(self, frames: FrameSequence) -> None:
         """Divide frames by motion if that finds anything."""
