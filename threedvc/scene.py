@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.body import LOST_FRAMES
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
@@ -139,7 +140,7 @@ class SceneObject:
     @property
     def last_seen(self) -> int:
         """The last frame in which it was found."""
-        return max(frame for frame, at in enumerate(self.found) if at is not None and at.status != UNSEEN)
+        return max(frame for frame, at in enumerate(self.found) if at is not None and at.usable)
 
     @property
     def out_of_sight(self) -> bool:
@@ -341,9 +342,12 @@ class Scene:
                 guess = self.division.way(item.number, item.last_seen, views.frame.index)
                 item.tracker.resume(item.poses[item.last_seen] if guess is None else guess @ item.poses[item.last_seen])
             at = item.locate(sights, self.info.rigs, self._one_object)
+        gone = self.division.is_gone(item.number, views.frame)
+        if at is not None and not at.usable and views.frame.index - item.last_seen > LOST_FRAMES:
+            at, gone = None, True  # better nothing than what may be elsewhere, or something else
         if at is not None:
             return at
-        if self.division.is_gone(item.number, views.frame) and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
+        if gone and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
             T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
         return Located(T_camera_object=T_camera_object, status=UNSEEN)
 
