@@ -306,42 +306,24 @@ class Alignment:
         luma[7, 7] += 1e-9
         return depth, luma
 
-    def _shape_information(self, fit: _Fit, samples: _Samples, T_view_frame: Pose, centre: Doubles) -> Doubles:
-        """Return what the shape says of a motion (turn, shift) as far as the normals of view and frame agree.
+    def _agreement(self, fit: _Fit, samples: _Samples, T_view_frame: Pose, centre: Doubles) -> tuple[Doubles, Doubles]:
+        """Return what shape and picture say of a motion (turn, shift) as far as view and frame agree, (6, 6) each.
 
-        Noise tilts the normals of both, but not alike: in the product of the one with the other it cancels out, in
-        that of either with itself a plain wall would seem to have a structure.
+        Noise tilts the normals of both and has slopes in both pictures, but not alike: in products of the one with the
+        other it cancels out, in those of either with itself a plain wall would seem to have a structure, and pictures
+        of noise alone fit best half a pixel apart, where interpolation smooths it.
         """
-        some = slice(None, None, max(1, len(samples) // AGREEING_SAMPLES))
-        fitting = fit.states[some] == kernels.FITTING
-        rows, arms = fit.rows[some][fitting], fit.rows[some][fitting, :3] - centre
-        seen = samples.surface[some][fitting, 3:6] @ T_view_frame[:3, :3].T
-        view, frame = (np.hstack([np.cross(arms, normals), normals]) for normals in (rows[:, 3:6], seen))
-        product = (view / samples.sigma[some][fitting, None] ** 2).T @ frame
-        return np.asarray(product + product.T)
-
-    def _picture_information(self, fit: _Fit, samples: _Samples, T_view_frame: Pose, centre: Doubles) -> Doubles:
-        """Return what luma says of a motion (turn, shift) as far as the slopes of view and frame agree.
-
-        Noise has slopes too, and pictures of noise alone fit best half a pixel apart, where interpolation smooths it.
-        """
-        if not fit.scales[3]:
-            return np.zeros((6, 6))
-        some = slice(None, None, max(1, len(samples) // AGREEING_SAMPLES))
-        rows, surface, slopes, level = fit.rows[some], samples.surface[some], samples.slopes[some], samples.luma[some]
-        good = np.isfinite(rows[:, 10]) & np.isfinite(rows[:, 7]) & np.isfinite(slopes).all(axis=1) & np.isfinite(level)
-        if not good.any():
-            return np.zeros((6, 6))
-        arms, points = rows[good, :3] - centre, surface[good, :3]
-        across = slopes[good] * [self.camera.fx, self.camera.fy] / points[:, 2:]
-        along = -np.sum(across * points[:, :2], axis=1) / points[:, 2]
-        seen = np.column_stack([across, along]) @ T_view_frame[:3, :3].T
-        rest = np.column_stack([kernels.LUMA_CENTRE - level[good], np.full(len(arms), -1.0)])
-        view, frame = (np.hstack([np.cross(arms, each), each, rest]) for each in (rows[good, 7:10], seen))
-        product = view.T @ frame * (len(samples) / len(rows) * fit.scales[3] / fit.scales[1] ** 2)
-        both = 0.5 * (product + product.T)
+        every = max(1, len(samples) // AGREEING_SAMPLES)
+        shape, picture = np.zeros((6, 6)), np.zeros((kernels.UNKNOWNS, kernels.UNKNOWNS))
+        kernels.accumulate_agreement(
+            fit.rows, fit.states, samples.surface, samples.sigma, samples.slopes, samples.luma,
+            np.ascontiguousarray(T_view_frame[:3, :3]), centre, self.parameters[:2], every, shape, picture,
+        )  # fmt: skip
+        picture *= every * fit.scales[3] / fit.scales[1] ** 2
+        both = 0.5 * (picture + picture.T)
         both[range(6, 8), range(6, 8)] += GAIN_PRIOR, 1e-9
-        return np.asarray(both[:6, :6] - both[:6, 6:] @ np.linalg.solve(both[6:, 6:], both[6:, :6]))
+        by_luma = both[:6, :6] - both[:6, 6:] @ np.linalg.solve(both[6:, 6:], both[6:, :6])
+        return shape + shape.T, np.asarray(by_luma)
 
     def _step(self, fit: _Fit, level: int, T_view_frame: Pose) -> _Step:
         """Solve for one Gauss-Newton step in the directions that the residuals determine."""
@@ -355,9 +337,10 @@ class Alignment:
         slope = unit * (depth[:6, 8] + luma[:6, 8] - luma[:6, 6:8] @ coupling[:, 6])
         pixel = 0.5**level * self.camera.fx / max(centre[2], 1e-6)
         full_luma = np.count_nonzero(fit.states == kernels.FITTING) * fit.scales[3] / fit.scales[1] ** 2
-        agreeing = unit[:, None] * self._picture_information(fit, self.samples[level], T_view_frame, centre) * unit
-        shape = unit[:, None] * self._shape_information(fit, self.samples[level], T_view_frame, centre) * unit
-        shape, agreeing = _without_contradictions(shape), _without_contradictions(agreeing)
+        shape, agreeing = (
+            _without_contradictions(unit[:, None] * each * unit)
+            for each in self._agreement(fit, self.samples[level], T_view_frame, centre)
+        )
         quality = shape / max(float(np.linalg.eigvalsh(shape)[-1]), 1e-12)
         quality += agreeing / max(full_luma * (STRONG_SLOPE * pixel) ** 2, 1e-12)
         grades, directions = np.linalg.eigh(quality)

@@ -498,3 +498,34 @@ class TestKernels:
         total = sums.sum(axis=(0, 1))
         np.testing.assert_allclose(total[:, :-1], matrix, rtol=1e-9, atol=1e-6)
         np.testing.assert_allclose(total[:, -1], side, rtol=1e-9, atol=1e-6)
+
+
+def test_agreement_is_the_product_of_both_accounts() -> None:
+    rng, count, every = np.random.default_rng(0), 500, 3
+    rows, surface = rng.normal(size=(count, kernels.ROW)), rng.normal(size=(count, 8))
+    rows[::7, 10], surface[:, 2] = np.nan, 1 + np.abs(surface[:, 2])
+    states, sigma = rng.integers(0, 3, count).astype(np.uint8), rng.uniform(0.001, 0.01, count)
+    slopes, luma = rng.normal(size=(count, 2)), rng.uniform(0, 255, count)
+    slopes[::11] = np.nan
+    rotation, centre = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    focal, shape, picture = np.array([500.0, 510.0]), np.zeros((6, 6)), np.zeros((8, 8))
+    kernels.accumulate_agreement(
+        rows, states, surface, sigma, slopes, luma, rotation, centre, focal, every, shape, picture
+    )
+
+    def product(chosen: NDArray[np.bool_], *accounts: NDArray[np.float64]) -> NDArray[np.float64]:
+        arms = rows[chosen, :3] - centre
+        left, right = (np.hstack([np.cross(arms, each[:, :3]), each]) for each in accounts)
+        return np.asarray(left.T @ right)
+
+    some = np.arange(count) % every == 0
+    fitting = some & (states == kernels.FITTING)
+    normals = surface[fitting, 3:6] @ rotation.T
+    np.testing.assert_allclose(shape, product(fitting, rows[fitting, 3:6] / sigma[fitting, None] ** 2, normals))
+    good = some & np.isfinite(rows[:, 10]) & np.isfinite(slopes[:, 0])
+    across = slopes[good] * focal / surface[good, 2:3]
+    along = -np.sum(across * surface[good, :2], axis=1) / surface[good, 2]
+    seen = np.column_stack([across, along]) @ rotation.T
+    rest = np.column_stack([kernels.LUMA_CENTRE - luma[good], np.full(len(seen), -1.0)])
+    expected = product(good, np.hstack([rows[good, 7:10], rest]), np.hstack([seen, rest]))
+    np.testing.assert_allclose(picture, expected)

@@ -19,6 +19,7 @@ __all__ = [
     "ROW",
     "UNKNOWNS",
     "UNSEEN",
+    "accumulate_agreement",
     "accumulate_normal_equations",
     "associate",
     "estimate_normals",
@@ -326,3 +327,74 @@ def accumulate_normal_equations(
                     weighted = weight * equation[a]
                     for b in range(UNKNOWNS + 1):
                         sums[c, term, a, b] += weighted * equation[b]
+
+
+@kernel
+def accumulate_agreement(
+    rows: Doubles,
+    states: NDArray[np.uint8],
+    surface: Doubles,
+    sigma: Doubles,
+    slopes: Doubles,
+    luma: Doubles,
+    rotation: Doubles,
+    centre: Doubles,
+    focal: Doubles,
+    every: int,
+    shape: Doubles,
+    picture: Doubles,
+) -> None:
+    """Sum products of what a small motion does to a sample by the view's account and by the frame's own.
+
+    Parameters
+    ----------
+    rows, states
+        (n, ROW) and (n,) as `associate` leaves them.
+    surface, sigma
+        (n, 8) rows of `sample_frame`, and (n,) depth noise in metres.
+    slopes, luma
+        (n, 2) slopes of the frame's luma by pixel, and (n,) that luma.
+    rotation
+        (3, 3) turn from the frame to the view.
+    centre
+        (3,) about which motions turn, in the view's camera.
+    focal
+        fx and fy.
+    every
+        Of so many samples one counts.
+    shape
+        (6, 6) sums over normals, turn then shift, by 1 / sigma^2; added to.
+    picture
+        (8, 8) sums over slopes of luma, turn, shift, gain, offset; added to.
+    """
+    view, frame, seen = np.empty(UNKNOWNS), np.empty(UNKNOWNS), np.empty(3)
+    for k in range(0, len(rows), every):
+        arm_x, arm_y, arm_z = rows[k, 0] - centre[0], rows[k, 1] - centre[1], rows[k, 2] - centre[2]
+        for part in range(2):
+            if part == 0:
+                if states[k] != FITTING:
+                    continue
+                first, size = 3, 6
+                a, b, c = surface[k, 3], surface[k, 4], surface[k, 5]
+                weight = 1.0 / (sigma[k] * sigma[k])
+            else:
+                known = np.isfinite(rows[k, 10]) and np.isfinite(rows[k, 7]) and np.isfinite(luma[k])
+                if not (known and np.isfinite(slopes[k, 0]) and np.isfinite(slopes[k, 1])):
+                    continue
+                first, size = 7, UNKNOWNS
+                z = surface[k, 2]
+                a, b = slopes[k, 0] * focal[0] / z, slopes[k, 1] * focal[1] / z
+                c = -(a * surface[k, 0] + b * surface[k, 1]) / z
+                weight = 1.0
+            for row in range(3):
+                seen[row] = rotation[row, 0] * a + rotation[row, 1] * b + rotation[row, 2] * c
+                view[3 + row], frame[3 + row] = rows[k, first + row], seen[row]
+            for account in (view, frame):
+                account[0] = arm_y * account[5] - arm_z * account[4]
+                account[1] = arm_z * account[3] - arm_x * account[5]
+                account[2] = arm_x * account[4] - arm_y * account[3]
+                account[6], account[7] = LUMA_CENTRE - luma[k], -1.0
+            sums = shape if part == 0 else picture
+            for i in range(size):
+                for j in range(size):
+                    sums[i, j] += weight * view[i] * frame[j]
