@@ -286,8 +286,8 @@ class Encoder:
 
     def _settle(self, frames: FrameSequence, on_frame: OnFrame | None) -> None:
         """Let a camera that was tracked and hardly moved stand still."""
-        background = self.scene.objects[0]
-        if background.stayed or not self.scene.hardly_moves(0):
+        background = self.scene.objects.get(0)
+        if background is None or background.stayed or not self.scene.hardly_moves(0):
             return
         first = next(at.T_camera_object for at in background.found if at is not None and at.usable)
         script = {number: item.found for number, item in self.scene.objects.items()}

@@ -43,6 +43,7 @@ def scene_of(
             poses=list(script),
             born=(born or {}).get(number, 0),
             evidence=EvidenceModel(0.01),
+            passing=False,
         )
         for number, script in scripts.items()
     }
