@@ -337,10 +337,12 @@ class Alignment:
         slope = unit * (depth[:6, 8] + luma[:6, 8] - luma[:6, 6:8] @ coupling[:, 6])
         pixel = 0.5**level * self.camera.fx / max(centre[2], 1e-6)
         full_luma = np.count_nonzero(fit.states == kernels.FITTING) * fit.scales[3] / fit.scales[1] ** 2
-        shape, agreeing = (
-            _without_contradictions(unit[:, None] * each * unit)
-            for each in self._agreement(fit, self.samples[level], T_view_frame, centre)
-        )
+        shape, agreeing = by_depth, by_luma
+        if self.config.agreement:
+            shape, agreeing = (
+                _without_contradictions(unit[:, None] * each * unit)
+                for each in self._agreement(fit, self.samples[level], T_view_frame, centre)
+            )
         quality = shape / max(float(np.linalg.eigvalsh(shape)[-1]), 1e-12)
         quality += agreeing / max(full_luma * (STRONG_SLOPE * pixel) ** 2, 1e-12)
         grades, directions = np.linalg.eigh(quality)
@@ -378,8 +380,9 @@ class Alignment:
         config = self.config
         if inlier_fraction < config.min_inliers or overlap < config.min_overlap:
             return Status.LOST
+        least = config.weak_conditioning if config.agreement else config.min_conditioning
         trusted = inlier_fraction >= config.weak_inliers and overlap >= config.weak_overlap
-        return Status.TRACKED if trusted and conditioning >= config.weak_conditioning else Status.WEAK
+        return Status.TRACKED if trusted and conditioning >= least else Status.WEAK
 
 
 def _lost(T_camera_object: Pose, steps: int) -> Registration:

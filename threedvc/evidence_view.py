@@ -39,10 +39,15 @@ class Thinned:
     sparse
         Whether views are cast with fewer rays where surfaces are even; outlines are less exact. None: if there are
         many pixels.
+    flat
+        Whether views show surfaces at a flat angle too, whose place and normal are less sure: of use to tell where
+        something is, not to register with.
     """
 
-    def __init__(self, rig: CameraRig, stride: int | None = None, *, sparse: bool | None = None) -> None:
-        self.rig = rig
+    def __init__(
+        self, rig: CameraRig, stride: int | None = None, *, sparse: bool | None = None, flat: bool = False
+    ) -> None:
+        self.rig, self.flat = rig, flat
         full = rig.depth
         self.stride = stride or 1
         while stride is None and full.width * full.height > TRACKING_PIXELS * self.stride**2:
@@ -142,7 +147,7 @@ def cast_view(
             cast_evidence(
                 grid.slopes, numbers, start, stop, T, grid.origin, grid.size, near, far, model.voxel_size_m,
                 model.index.tables, model.distance.reshape(-1), model.distance_weight.reshape(-1),
-                model.color.reshape(-1, 3), model.color_weight.reshape(-1), depth, normals, intensity,
+                model.color.reshape(-1, 3), model.color_weight.reshape(-1), thinned.flat, depth, normals, intensity,
             )  # fmt: skip
 
         for_ranges(rays, len(numbers), threads)

@@ -198,7 +198,7 @@ class Tracker:
         Noise of the depth by the number of the sensor, where there are several; None: all are as `sensor`.
     lit_evenly
         Whether shading goes with the surface, as that of a room that only the camera moves in: then luma counts as it
-        is, else against its local mean.
+        is, else against its local mean; and directions count that frame and view agree on.
     luma_weight
         Weight of luma against depth.
     patience
@@ -223,7 +223,7 @@ class Tracker:
         patience: int = 0,
         recovers: bool = True,
     ) -> None:
-        config = RegistrationConfig(luma_weight=luma_weight)
+        config = RegistrationConfig(luma_weight=luma_weight, agreement=lit_evenly)
         if lit_evenly:
             config = replace(config, detail_pixels=0)
         self._sensor, self._sensor_of, self._threads, self._config = sensor, sensor_of, threads, config
@@ -290,7 +290,7 @@ class Tracker:
         elsewhere = self._recognised(sights, model, found)
         if elsewhere is not None:
             found, status = elsewhere, Status.RELOCALISED
-        determined = found.conditioning >= self._config.min_conditioning
+        determined = not self._config.agreement or found.conditioning >= self._config.min_conditioning
         self._carries = 1.0 if determined else SLOWED
         jumped = status is Status.RELOCALISED
         if jumped:

@@ -139,7 +139,7 @@ class Divider:
         self.info, self.config, self.threads = info, config, config.threads
         self.reduction = Reduction(info)
         self.rig = self.reduction.rig
-        self._form, self._coarse = Thinned(self.rig, 1, sparse=False), Thinned(self.rig, 2, sparse=False)
+        self._form, self._coarse = (Thinned(self.rig, n, sparse=False, flat=True) for n in (1, 2))
         self._of_room = self._coarse if self.rig.depth.width * self.rig.depth.height > COARSE_PIXELS else self._form
         self._rays = self.rig.depth.rays()
         self.sensor: SensorModel | None = None

@@ -69,6 +69,9 @@ class RegistrationConfig:
         Directions with less information than this part of the best one keep the prediction.
     weak_conditioning
         With less in some direction a result is weak.
+    agreement
+        Whether that information is what frame and view agree on, so that noise on a plain wall does not count; else
+        what the view alone says, which a small round object needs.
     min_samples
         Fewer associated samples are a loss.
     min_inliers, weak_inliers
@@ -95,6 +98,7 @@ class RegistrationConfig:
     coarse_angle_rad: float = 1.0
     fine_angle_rad: float = 0.7
     min_conditioning: float = 8e-3
+    agreement: bool = True
     weak_conditioning: float = 3e-3
     min_samples: int = 60
     min_inliers: float = 0.4

@@ -58,7 +58,7 @@ def test_a_wall_is_seen_where_it_is() -> None:
     assert known[inner].mean() > 0.95
     error = np.abs(view.depth - wall(CAMERA.rays()))[known]
     assert np.quantile(error, 0.99) < 0.2 * CELL
-    assert error.max() < 0.6 * CELL
+    assert error.max() < 0.5 * CELL
     expected = np.array([0.3, 0, -1]) / np.sqrt(1.09)
     facing = view.normals[known] @ expected
     assert np.median(facing) > 0.999
@@ -73,9 +73,9 @@ def test_a_wall_is_seen_from_elsewhere() -> None:
     assert len(v) > 1000
     points = np.column_stack([CAMERA.rays()[v, u], np.ones(len(v))]) * view.depth[v, u][:, None]
     there = (points - T[:3, 3]) @ T[:3, :3]
-    assert np.abs(there[:, 2] - 1.2 - 0.3 * there[:, 0]).max() < 0.6 * CELL
+    assert np.abs(there[:, 2] - 1.2 - 0.3 * there[:, 0]).max() < 0.4 * CELL
     expected = T[:3, :3] @ (np.array([0.3, 0, -1]) / np.sqrt(1.09))
-    np.testing.assert_allclose(view.normals[v, u] @ expected, 1, atol=0.04)
+    np.testing.assert_allclose(view.normals[v, u] @ expected, 1, atol=0.03)
 
 
 def test_a_ball_is_round() -> None:
@@ -95,7 +95,7 @@ def table(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_what_is_seen_at_a_flat_angle_once_is_in_the_view() -> None:
-    view, expected = cast_view(model_of(table, views=1), Thinned(RIG), identity(), 1), table(CAMERA.rays())
+    view, expected = cast_view(model_of(table, views=1), Thinned(RIG, flat=True), identity(), 1), table(CAMERA.rays())
     known, inner = view.depth > 0, cv2.erode((expected > 0).astype(np.uint8), np.ones((7, 7))) > 0
     assert np.count_nonzero(known & inner) > 0.8 * np.count_nonzero(inner)
     assert np.quantile(np.abs(view.depth - expected)[known & inner], 0.99) < CELL

@@ -110,7 +110,7 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
 @kernel
 def cast_evidence(
     rays, numbers, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables,
-    distance, weight, color, color_weight, depth, normal, intensity,
+    distance, weight, color, color_weight, flat, depth, normal, intensity,
 ):  # fmt: skip
     """Cast the rays ``numbers[start:stop]`` into the evidence.
 
@@ -119,7 +119,9 @@ def cast_evidence(
     rays
         (n, 2) slopes; `T_cells_camera` (3, 4) leads to shifted cells, t is the depth in metres.
     distance, weight, color, color_weight
-        Evidence, flat over cells.
+        Evidence, one value a cell.
+    flat
+        Whether surfaces that are seen at a flat angle count, of which only the cells around are known.
     depth, normal, intensity
         (n,), (n, 3), (n,) float32 outputs: metres, unit normal in the camera, luma; 0 where nothing is known.
     """
@@ -152,7 +154,7 @@ def cast_evidence(
             known = known and ahead < UNKNOWN and behind < UNKNOWN
             gradient[axis] = ahead - behind
         # Behind a surface seen at a flat angle little is known.
-        if not known and not slope_within(x, y, z, tables, distance, weight, gradient):
+        if not known and not (flat and slope_within(x, y, z, tables, distance, weight, gradient)):
             continue
         length = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
         facing = gradient[0] * dx + gradient[1] * dy + gradient[2] * dz
