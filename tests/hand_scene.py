@@ -4,20 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from streams import ListSequence
 from threedvc.camera import Camera, CameraRig
-from threedvc.frame import Frame, SequenceInfo
+from threedvc.frame import Frame
 from threedvc.pose import make_pose, rotation_from_vector
 from threedvc.synthesis import SyntheticSequence, textures, toys
 from threedvc.synthesis.motion import harmonics, look_at
 from threedvc.synthesis.scene import Body, Light, Scene
 from threedvc.synthesis.shapes import Part, at, ball, box, capsule_between, rectangle, turned
 
-__all__ = ["BALL", "BOX", "HAND", "Kept", "pushing"]
+__all__ = ["BALL", "BOX", "HAND", "pushing"]
 
 BOX, BALL, HAND = 1, 2, 10
 """Labels in the masks; all parts of the hand have one."""
@@ -27,26 +28,9 @@ SPEEDS = {"enter": (0, 14), "push": (14, 38), "lift": (38, 48), "flick": (48, 58
 """Frames from and to which the hand does what."""
 
 
-@dataclass(eq=False)
-class Kept:
-    """Frames that were rendered once."""
-
-    info: SequenceInfo
-    frames: list[Frame]
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self.frames[index]
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
-
-
 def pushing(
     frames: int = 90, size: tuple[int, int] = (320, 240), *, held: bool = False, limp: bool = False, seed: int = 0
-) -> Kept:
+) -> ListSequence:
     """Render the sequence with a Kinect's noise; the hand appears in frame 2 or so and is gone after frame 76."""
     rng = np.random.default_rng([7, seed])
     box_x = 0.05 + 0.24 * np.array([_eased(k, "push") for k in range(frames)])
@@ -66,7 +50,7 @@ def pushing(
     )
     rendered = SyntheticSequence(scene, "kinect", seed)
     info = replace(rendered.info, has_camera_poses=False, has_object_poses=True)
-    return Kept(info, [_labelled(frame) for frame in rendered])
+    return ListSequence([_labelled(frame) for frame in rendered], info)
 
 
 def _labelled(frame: Frame) -> Frame:

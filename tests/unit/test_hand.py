@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hand_scene import BALL, BOX, Kept, pushing
+from hand_scene import BALL, BOX, pushing
+from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
 from threedvc.decoder import Decoder
 from threedvc.division import MOST_LIFE, NOTHING, PASSING_NUMBERS, Division
@@ -22,7 +23,7 @@ FRAMES, SIZE = 72, (240, 180)
 
 
 @cache
-def filmed(held: bool) -> Kept:
+def filmed(held: bool) -> ListSequence:
     return pushing(FRAMES, SIZE, held=held)
 
 
