@@ -4,8 +4,8 @@
 The unknowns of a step are a small rotation about the middle of what is seen and a translation, both in
 the view's camera frame, and gain and offset of the frame's luma. Which directions of motion the
 residuals determine is told by a quality matrix: the depth's information relative to its own best
-direction, as far as normals of model and frame agree on it, plus the luma's relative to a
-picture full of strong slopes, as noise makes weak slopes everywhere. Directions below a threshold are
+direction, plus the luma's relative to a picture full of strong slopes, each if wanted only as far as model
+and frame agree on it, for noise makes a little of both everywhere. Directions below a threshold are
 left alone.
 """
 
