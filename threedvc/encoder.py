@@ -41,7 +41,7 @@ from threedvc.rate_control import (
     stream_bytes,
     surface_room,
 )
-from threedvc.refinement import calibrated_info, depth_misfit, refined_script
+from threedvc.refinement import calibrated_info, depth_misfit, noisier_sensors, refined_script
 from threedvc.registration import RegistrationConfig, Status
 from threedvc.report import FrameReport
 from threedvc.scene import Scene
@@ -121,18 +121,10 @@ class Encoder:
             yield from self._live(frames, on_frame)
             return
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
-        undivided = self.config
-        if again and self._may_divide:
-            self._divide(cast(FrameSequence, frames))
-        elif again and self.scene.division is not None:
-            self.scene.division.take(cast(FrameSequence, frames))
-        if again and self.config.refine:
-            self.scene.luma_weight = DOUBTED_LUMA
-        self._fuse_all(frames, on_frame)
-        if self.config is not undivided and self._loses_often:
-            self.config, self.scene = undivided, Scene(self.info, undivided)
-            self.scene.luma_weight = DOUBTED_LUMA
-            self._fuse_all(frames, on_frame)
+        asked = self.config
+        self._first_pass(frames, on_frame, again=again)
+        if again:
+            self._know_noise(cast(FrameSequence, frames), on_frame, asked)
         if again and self.config.refine:
             self._join_parts(cast(FrameSequence, frames), on_frame)
         if again:
@@ -145,6 +137,29 @@ class Encoder:
             yield from self._everything(None, *self._rated(None, 0))
         else:
             yield from self._filtered(finished, cast(FrameSequence, frames))
+
+    def _first_pass(self, frames: Iterable[Frame], on_frame: OnFrame | None, *, again: bool) -> None:
+        """Find the objects and where they are; frames that can be read `again` are looked at beforehand."""
+        undivided = self.config
+        if again and self._may_divide:
+            self._divide(cast(FrameSequence, frames))
+        elif again and self.scene.division is not None:
+            self.scene.division.take(cast(FrameSequence, frames))
+        if again and self.config.refine:
+            self.scene.luma_weight = DOUBTED_LUMA
+        self._fuse_all(frames, on_frame)
+        if self.config is not undivided and self._loses_often:
+            self.config, self.scene = undivided, Scene(self.info, undivided)
+            self.scene.luma_weight = DOUBTED_LUMA
+            self._fuse_all(frames, on_frame)
+
+    def _know_noise(self, frames: FrameSequence, on_frame: OnFrame | None, asked: EncoderConfig) -> None:
+        """Begin anew with the choices `asked` for where a sensor scatters more than its first frame made believe."""
+        sensors = noisier_sensors(self.scene, frames) if 0 in self.scene.objects else None
+        if sensors is not None:
+            self.config = replace(asked, sensor=sensors[0], other_sensors=tuple(sensors[1:]))
+            self.scene = Scene(self.info, self.config)
+            self._first_pass(frames, on_frame, again=True)
 
     @property
     def _may_divide(self) -> bool:

@@ -8,21 +8,23 @@ What the decoder will draw is fitted to the pictures afterwards (`threedvc.finis
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.calibration import calibrate, sighting
+from threedvc.config import Sensor
 from threedvc.evidence_view import cast_view
 from threedvc.frame import FrameSequence, SequenceInfo, moments, spread_step
 from threedvc.motion import UNSEEN, Located, Script, Sight, pose_between, refined, refound
 from threedvc.readout import read_surface
 from threedvc.registration import RegistrationConfig
 from threedvc.scene import Scene, SceneObject
+from threedvc.sensor_model import NoiseMeter
 
-__all__ = ["calibrated_info", "depth_misfit", "mean_misfit", "misfit_frames", "refined_script"]
+__all__ = ["calibrated_info", "depth_misfit", "mean_misfit", "misfit_frames", "noisier_sensors", "refined_script"]
 
 MISFIT_FRAMES = 60
 MISFIT_SCALE = 0.01
@@ -90,18 +92,39 @@ def mean_misfit(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32
 
 def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
     """Return the `mean_misfit` of the background's evidence at its poses."""
-    item = scene.objects[0]
+    return mean_misfit((shown, measured) for _, shown, measured in _background_depths(scene, frames))
 
-    def pictures(index: int, at: Located) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+
+def noisier_sensors(scene: Scene, frames: FrameSequence) -> list[Sensor] | None:
+    """Tell what sensors the frames come from, as their noise about the model shows; None if that is as was thought."""
+    asked = [scene.config.sensor_of(sensor) for sensor in range(len(scene.info.rigs))]
+    if Sensor.AUTO not in asked:
+        return None
+    meters = [NoiseMeter() for _ in asked]
+    for index, shown, measured in _background_depths(scene, frames):
+        meters[scene.sensors[index]].add(shown, measured, scene.objects[0].evidence.voxel_size_m)
+    found = [
+        sensor if sensor is not Sensor.AUTO else meter.better_than(scene.sensor_of(number)) or Sensor.AUTO
+        for number, (sensor, meter) in enumerate(zip(asked, meters, strict=True))
+    ]
+    return found if found != asked else None
+
+
+def _background_depths(
+    scene: Scene, frames: FrameSequence
+) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
+    """Yield, for frames spread over the sequence, their number, the depth of the background's evidence and theirs."""
+    item = scene.objects[0]
+    for index in misfit_frames(frames):
+        at = item.found[index]
+        if at is None or not at.usable:
+            continue
         frame = scene.limited(frames[index])
         mask = scene.labels(frame) == 0
         form = scene.views(frame).form(mask)
         T_camera_object = form.rig.at_sensor(at.T_camera_object)
         view = cast_view(item.evidence, form, T_camera_object, scene.config.threads, exact=True)
-        return view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
-
-    found = ((index, item.found[index]) for index in misfit_frames(frames))
-    return mean_misfit(pictures(index, at) for index, at in found if at is not None and at.usable)
+        yield index, view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
 
 
 def _refined(

@@ -26,7 +26,7 @@ from threedvc.rate_control import live_cell_factor
 from threedvc.registration import Status
 from threedvc.registration_starts import predict
 from threedvc.segmentation import resolved_mode, segment
-from threedvc.sensor_model import SENSORS, SensorModel, chosen_sensor, within
+from threedvc.sensor_model import SENSORS, NoiseMeter, SensorModel, chosen_sensor, within
 from threedvc.uncertainty import EntropyMeter
 
 __all__ = ["Scene", "SceneObject", "default_voxel_size"]
@@ -49,6 +49,8 @@ AWAY_M = 1000.0
 AWAY = make_pose(np.eye(3), np.array([0.0, 0.0, -AWAY_M]))
 PASSING_CELLS = 2.0
 """By how much wider the cells are of what is there for a moment."""
+METERED_FRAMES = 12
+"""Frames after which a live encoder settles what sensor it has."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
@@ -220,6 +222,7 @@ class Scene:
         self._thinned, self._full = [Thinned(rig) for rig in info.rigs], [Thinned(rig, 1) for rig in info.rigs]
         self._rays = [rig.depth.rays() for rig in info.rigs]
         self._noise: dict[int, SensorModel] = {}
+        self._meters: dict[int, NoiseMeter] = {}
         self._live_factor: float | None = None
         self.distance_m = 0.0
 
@@ -257,6 +260,7 @@ class Scene:
                 if found is not None and found.usable and not self.repeated[frame.index]:
                     T_camera_object = look.views.rig.at_sensor(found.T_camera_object)
                     if number == 0 and self.config.causal:
+                        self._meter_noise(item, look, sight.mask, T_camera_object)
                         look.seen = self._exposed(item, look.seen, sight.mask, T_camera_object)
                     self._fuse(item, look.seen, sight.mask, T_camera_object, self.sensor_of(frame.sensor))
         self.timestamps += [frame.timestamp_ns for frame in frames]
@@ -284,6 +288,21 @@ class Scene:
         self.gains.append(NEUTRAL if last is None else self.gains[last])
         rig = self.info.rigs[frame.sensor]
         return _Look(views=self.views(frame), labels=labels, seen=observe(frame, rig, self._rays[frame.sensor]))
+
+    def _meter_noise(self, item: SceneObject, look: _Look, mask: NDArray[np.bool_], T_camera_object: Pose) -> None:
+        """Find out in the first frames if a sensor scatters more than the very first made believe."""
+        number = look.views.frame.sensor
+        meter = self._meters.setdefault(number, NoiseMeter())
+        asked = self.config.sensor_of(number) is not Sensor.AUTO
+        if asked or meter.frames == METERED_FRAMES or not item.evidence.index.count:
+            return
+        form = look.views.form(mask)
+        view = cast_view(item.evidence, form, T_camera_object, self.config.threads)
+        measured = np.where(form.thin(mask), form.thin(look.views.frame.depth), np.float32(0))
+        meter.add(view.depth, measured, item.evidence.voxel_size_m)
+        better = meter.better_than(self._noise[number]) if meter.frames == METERED_FRAMES else None
+        if better is not None:
+            self._noise[number] = SENSORS[better]
 
     def frame_before(self, frame: int) -> int | None:
         """Return the frame before one of the frames so far that the same sensor took; None for its first."""

@@ -11,6 +11,9 @@ over the cell, ``h^2 / 12``. Likelihoods are taken relative to the peak of the G
 weight is relative to it as well, so it follows the evidence near the measured range instead of
 standing as a constant against a product of thousands of priors (which would let the exact sum
 explain every far reading as an outlier).
+
+Which sensor it was is guessed from the first frame, and held against what later frames measure of the model: depth
+that was smoothed before anybody saw it looks clean, and yet differs from frame to frame.
 """
 
 from __future__ import annotations
@@ -23,14 +26,17 @@ from numpy.typing import NDArray
 from threedvc.config import Sensor
 from threedvc.errors import ConfigError
 
-__all__ = ["SENSORS", "SensorModel", "chosen_sensor", "guess_sensor", "within"]
+__all__ = ["SENSORS", "NoiseMeter", "SensorModel", "chosen_sensor", "guess_sensor", "within"]
 
 MAX_IDEAL_ROUGHNESS = 0.001
 MIN_SMOOTH_PIXELS = 100
-
-
 WORST_SIGMA_M = 0.1
 MAX_REACH_M = 1000.0
+STRAY_SHARE, STRAY_DENSITY_PER_M = 0.05, 1.0
+"""Measurements that have nothing to do with the model, and their density."""
+MUCH_LIKELIER = 0.6
+"""Logarithm of how many times as likely another sensor must make a pixel: errors of poses look like noise, too."""
+MIN_METERED_PIXELS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +115,45 @@ def guess_sensor(depth: NDArray[np.float32]) -> Sensor:
 def chosen_sensor(asked: Sensor, depth: NDArray[np.float32]) -> SensorModel:
     """Return the model of the sensor asked for, or of the one that a depth map (h, w) in metres looks like."""
     return SENSORS[guess_sensor(depth) if asked is Sensor.AUTO else asked]
+
+
+class NoiseMeter:
+    """Holds what was measured against what a model shows, to tell which sensor scatters so."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._pixels = 0
+        self._log_likelihoods = dict.fromkeys(SENSORS, 0.0)
+
+    def add(self, shown: NDArray[np.float32], measured: NDArray[np.float32], voxel_size_m: float) -> None:
+        """Take in a frame.
+
+        Parameters
+        ----------
+        shown, measured
+            Depths of the same shape in metres, 0 = none. The model should not hold the frame itself, or many others.
+        voxel_size_m
+            Edge of the model's cells: a surface lies anywhere within them.
+        """
+        both = (shown > 0) & (measured > 0)
+        depth = measured[both].astype(np.float64)
+        off = shown[both] - depth
+        self.frames += 1
+        self._pixels += len(depth)
+        for sensor, model in SENSORS.items():
+            sigma = np.sqrt(model.sigma_m(depth) ** 2 + voxel_size_m**2 / 12)
+            density = np.exp(-0.5 * (off / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
+            likelihood = (1 - STRAY_SHARE) * density + STRAY_SHARE * STRAY_DENSITY_PER_M
+            self._log_likelihoods[sensor] += float(np.log(likelihood).sum())
+
+    def better_than(self, model: SensorModel) -> Sensor | None:
+        """Return the sensor that makes measurements much likelier than a model does; None if there is none."""
+        if self._pixels < MIN_METERED_PIXELS:
+            return None
+        best = max(self._log_likelihoods, key=lambda sensor: self._log_likelihoods[sensor])
+        now = next(sensor for sensor, each in SENSORS.items() if each is model)
+        gain = self._log_likelihoods[best] - self._log_likelihoods[now]
+        return best if gain > MUCH_LIKELIER * self._pixels else None
 
 
 def within(depth: NDArray[np.float32], furthest_m: float) -> NDArray[np.float32]:
