@@ -24,6 +24,7 @@ __all__ = [
     "MAX_PAYLOAD_BYTES",
     "MAX_RELIEF_BITS",
     "MAX_SENSORS",
+    "MAX_SEQUENCE_SAMPLES",
     "MAX_TEXTURE_BITS",
 ]
 
@@ -68,3 +69,6 @@ MAX_TEXTURE_BITS: Final = 2
 
 MAX_DEPTH_SAMPLES: Final = 1 << 20
 """Samples of a depth picture."""
+
+MAX_SEQUENCE_SAMPLES: Final = 1 << 26
+"""Samples of all pictures of a run that are predicted from each other."""
