@@ -41,6 +41,8 @@ FILTERS = ("all", "none", "silhouettes", "surfaces")
               help="Draw from these viewpoints: lines as in poses.txt.")  # fmt: skip
 @click.option("--filter", "filter_parts", type=click.Choice(FILTERS), default="all", show_default=True,
               help="Where to apply the stream's filter of colour pictures.")  # fmt: skip
+@click.option("--depth", "depth_from", type=click.Choice(["filmed", "models"]), default="filmed", show_default=True,
+              help="Depth as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
 @click.option("--supersample", type=click.IntRange(1, 4), metavar="1..4",
               help="Rays per pixel side for colour.  [default: 2 on small pictures, else 1]")  # fmt: skip
 @threads_option
@@ -54,6 +56,7 @@ def decode(
     sensor: int | None,
     camera_path: Path | None,
     filter_parts: str,
+    depth_from: str,
     supersample: int | None,
     threads: int | None,
 ) -> None:
@@ -78,6 +81,7 @@ def decode(
         render=RenderConfig(
             supersample=supersample,
             filter_parts=FilterParts(filter_parts),
+            filmed_depth=depth_from == "filmed",
             threads=threads or default_threads(),
         ),
     )

@@ -72,6 +72,9 @@ OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps"
 @click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colours.  [default: 50]")
 @click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
               help="Bits that tell where in a cell the surface passes.  [default: 1 if cheap]")  # fmt: skip
+@click.option("--depth-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
+              help="Add a video of the depth as filmed; auto: where it is not rigid, if it is worth its bytes "
+              "(medium, slow).")  # fmt: skip
 @click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
               help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
               )  # fmt: skip
@@ -127,7 +130,7 @@ def _open(folders: list[Path], choices: dict[str, Any]) -> FrameSequence:
 
 
 def _configuration(choices: dict[str, Any], sensors: int) -> EncoderConfig:
-    from threedvc.config import EncoderConfig, Motion, Preset, Sensor, with_preset, with_quality
+    from threedvc.config import DepthVideo, EncoderConfig, Motion, Preset, Sensor, with_preset, with_quality
     from threedvc.parallel import default_threads
 
     if choices["bitrate"] is not None and choices["quality"] is not None:
@@ -148,6 +151,7 @@ def _configuration(choices: dict[str, Any], sensors: int) -> EncoderConfig:
         other_sensors=tuple(others),
         segmentation=choices["segment"],
         focus=choices["focus"],
+        depth_video=DepthVideo(choices["depth_video"]),
         threads=choices["threads"] or default_threads(),
     )
     if choices["quality"] is not None:

@@ -285,7 +285,7 @@ class DecodedStream:
                 self._models[number] = RenderModel(self.decoder.models[number])
             self._models[number].refresh(renderer.config.threads)
         filmed = self._camera_path is None
-        return renderer.draw(
+        picture = renderer.draw(
             self._models,
             shown,
             color="color" in self._what,
@@ -295,6 +295,9 @@ class DecodedStream:
             lights={number: light for number, light in state.lights.items() if number in shown},
             filters=state.filters if self._as_filmed else None,
         )
+        if state.filmed is None or not filmed or self._objects is not None or not renderer.config.filmed_depth:
+            return picture
+        return replace(picture, depth=state.filmed.shown(picture.depth, renderer.config.threads))
 
 
 @contextmanager

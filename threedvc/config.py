@@ -13,6 +13,7 @@ from threedvc.parallel import default_threads
 __all__ = [
     "AppearanceConfig",
     "ColorConfig",
+    "DepthVideo",
     "EncoderConfig",
     "ExplorationConfig",
     "FilterParts",
@@ -51,6 +52,17 @@ class Motion(StrEnum):
     AUTO = "auto"
     KNOWN = "known"
     TRACK = "track"
+
+
+class DepthVideo(StrEnum):
+    """Whether a file carries a video of depth that the models do not tell, see `threedvc.depth_video`.
+
+    AUTO: if the stream gains more by it than it costs; the presets LIVE and FAST have none.
+    """
+
+    AUTO = "auto"
+    ON = "on"
+    OFF = "off"
 
 
 class Sensor(StrEnum):
@@ -253,6 +265,8 @@ class EncoderConfig:
     refine
         Calibrate the colour camera and register all frames again once the model is finished; needs
         frames that can be read more than once.
+    depth_video
+        See `DepthVideo`.
     causal
         Send each group as soon as it is fused (live); otherwise fuse everything first.
     group_frames
@@ -276,6 +290,7 @@ class EncoderConfig:
     bitrate_bps: float | None = None
     live_buffer_s: float = 1.0
     refine: bool = True
+    depth_video: DepthVideo = DepthVideo.AUTO
     causal: bool = False
     group_frames: int | None = None
     threads: int = field(default_factory=default_threads)
@@ -352,12 +367,15 @@ class RenderConfig:
         Rays per pixel side for colour, or None for 2 on small pictures and 1 on large ones.
     filter_parts
         Where the stream's filter of pictures is applied.
+    filmed_depth
+        Whether depth as it was filmed stands for that of the models, where the stream has a video of it.
     threads
         Number of threads; pictures do not depend on it.
     """
 
     supersample: int | None = None
     filter_parts: FilterParts = FilterParts.ALL
+    filmed_depth: bool = True
     threads: int = field(default_factory=default_threads)
 
     def __post_init__(self) -> None:

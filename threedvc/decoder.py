@@ -21,11 +21,13 @@ from threedvc.coding.filters import decode_filter
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.light import unpack_light
 from threedvc.coding.picture import decode_picture
+from threedvc.coding.picture_sequence import decode_sequence
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.depth_cells import spread
+from threedvc.depth_video import FilmedDepth, depth_levels
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
 from threedvc.limits import MAX_COUNT
 from threedvc.object_model import DecodedModel
@@ -51,6 +53,7 @@ from threedvc.packets import (
     ShiftHeader,
     StreamHeader,
     TextureHeader,
+    VideoHeader,
     check_supported,
     type_name,
     unpack_batch,
@@ -80,6 +83,7 @@ IN_BATCHES = frozenset(
         PacketType.LIGHT,
         PacketType.CLOCK,
         PacketType.ORDER,
+        PacketType.VIDEO,
     }
 )
 
@@ -110,6 +114,8 @@ class FrameState:
         Light on objects, by number.
     filters
         Filter of the colour picture as filmed, or None.
+    filmed
+        Depth that stands for the drawn one in the frame as filmed, or None.
     """
 
     index: int
@@ -124,6 +130,7 @@ class FrameState:
     backdrop: Backdrop | None
     lights: Mapping[int, Light]
     filters: PictureFilter | None
+    filmed: FilmedDepth | None
 
 
 def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
@@ -203,7 +210,7 @@ class _Device:
         Its description.
     frames
         How many frames it has taken so far.
-    shift, gain, correction_ns
+    shift, gain, correction_ns, filmed
         Of the next frame that it takes.
     """
 
@@ -213,6 +220,7 @@ class _Device:
         self.shift, self.shifts = identity(), PoseCoder(*steps)
         self.gain, self.gains = NEUTRAL, GainCoder(header.grey)
         self.correction_ns = 0
+        self.filmed: FilmedDepth | None = None
 
     def next_time(self) -> int:
         """Return the time of its next frame."""
@@ -220,6 +228,11 @@ class _Device:
         nominal = header.start_ns + nearest_multiple(self.frames, header.period_num, header.period_den)
         time, self.correction_ns = nominal + self.correction_ns, 0
         return time
+
+    def next_filmed(self) -> FilmedDepth | None:
+        """Return the depth of its next frame, if there is a video of it."""
+        filmed, self.filmed = self.filmed, None
+        return filmed
 
 
 class _Run:
@@ -438,6 +451,8 @@ class Decoder:
             assert self.header is not None
             filters = decode_filter(packet.payload, self.header.grey)
             yield FilterHeader.from_map(packet.header).frame, lambda: self._set_filters(filters)
+        elif packet.type == PacketType.VIDEO:
+            yield from self._film(VideoHeader.from_map(packet.header), packet.payload)
         elif packet.type == PacketType.LIGHT:
             light = LightHeader.from_map(packet.header)
             self._known(light.object_id)
@@ -528,6 +543,15 @@ class Decoder:
         for frame, gain in zip(frames, device.gains.decode(payload, header.count), strict=True):
             yield frame, lambda gain=gain: setattr(device, "gain", gain)  # type: ignore[misc]
 
+    def _film(self, header: VideoHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
+        device = self._device("VIDEO", header)
+        _, frames = self._run("VIDEO", header, header.sensor)
+        pictures = decode_sequence(payload, header.count, header.columns, header.rows)
+        levels = depth_levels(header.nearest_m, header.ratio)
+        for frame, samples in zip(frames, pictures, strict=True):
+            filmed = FilmedDepth(samples=samples, levels=levels, complete=header.complete)
+            yield frame, lambda filmed=filmed: setattr(device, "filmed", filmed)  # type: ignore[misc]
+
     def _poses(self, header: PoseHeader, payload: bytes) -> Iterable[tuple[int, Pose]]:
         self._known(header.object_id)
         name = f"POSE of object {header.object_id}"
@@ -610,6 +634,7 @@ class Decoder:
             backdrop=self._backdrop,
             lights={number: self._light(number) for number in self._lights},
             filters=self._filters,
+            filmed=device.next_filmed(),
         )
 
     def _light(self, number: int) -> Light:

@@ -138,6 +138,8 @@ class Emitter:
         Luma step that the quality of a backdrop follows; None: that of the cells.
     filters
         Filter of the pictures, or None.
+    videos
+        VIDEO packets in the order of their frames.
     """
 
     def __init__(
@@ -147,9 +149,10 @@ class Emitter:
         finished: Finish | None = None,
         picture_step: float | None = None,
         filters: PictureFilter | None = None,
+        videos: Sequence[Packet] = (),
     ) -> None:
         self._scene, self._config, self._info = scene, config, scene.info
-        self._finished, self._filters = finished, filters
+        self._finished, self._filters, self._videos = finished, filters, videos
         sensors = scene.info.each_sensor
         self._gains = [GainCoder(sensor.grey) for sensor in sensors]
         self._guessed: dict[int, SceneObject] = {}
@@ -243,6 +246,7 @@ class Emitter:
         if not first and self._filters is not None:
             payload = encode_filter(self._filters, self._info.grey)
             around.append(FilterHeader(frame=first).packet(payload, critical=False))
+        around += [video for video in self._videos if first <= video.header["f"] < stop]
         self._untold += reports
         told = [report_packet(self._untold[at : at + MAX_COUNT]) for at in range(0, len(self._untold), MAX_COUNT)]
         needed = [packet for entry in entries for packet in (*entry.introduction, *entry.poses)]

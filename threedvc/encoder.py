@@ -16,7 +16,7 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode, with_step
+from threedvc.config import DepthVideo, EncoderConfig, SegmentationConfig, SegmentationMode, with_step
 from threedvc.decoder import Decoder
 from threedvc.division import MOST_LOST, Division
 from threedvc.emitter import Emitter
@@ -47,6 +47,7 @@ from threedvc.report import FrameReport
 from threedvc.scene import Scene
 from threedvc.settling import settled
 from threedvc.trials import cheap_relief, surface_bytes
+from threedvc.video_choice import worthwhile_videos
 
 __all__ = ["Encoder", "OnFrame", "verified"]
 
@@ -195,19 +196,33 @@ class Encoder:
         """Return all packets, with a filter fitted to what they draw."""
         choices = self._rated(finished, FILTER_BYTES)
         packets = self._everything(finished, *choices)
-        plain_bytes = stream_bytes(packets)
+        videos = self._videos(packets, frames)
+        if videos and self._target_bytes is not None:
+            choices = self._rated(finished, FILTER_BYTES, videos)
+            packets = self._everything(finished, *choices)
+        plain_bytes = stream_bytes([*packets, *videos])
         filters = fitted_filter(packets, frames, self.config.threads)
-        if filters is not None:
-            packets = self._everything(finished, *choices, filters)
+        if filters is not None or videos:
+            packets = self._everything(finished, *choices, filters, videos)
         target, took = self._target_bytes, stream_bytes(packets) - plain_bytes
         if target is None or plain_bytes > target - FILTER_BYTES:
             return packets
         if took > FILTER_BYTES or FILTER_BYTES - took > (1 - CLOSE) * target:
-            choices = self._rated(finished, took)
-            packets = self._everything(finished, *choices, filters)
+            choices = self._rated(finished, took, videos)
+            packets = self._everything(finished, *choices, filters, videos)
         return packets
 
-    def _rated(self, finished: Finish | None, filter_bytes: int) -> tuple[EncoderConfig, float | None]:
+    def _videos(self, packets: Sequence[Packet], frames: FrameSequence) -> list[Packet]:
+        """Return VIDEO packets of depth that the models do not tell, if it is worth it."""
+        mode = self.config.depth_video
+        if mode is DepthVideo.OFF or (mode is DepthVideo.AUTO and not self.config.refine):
+            return []
+        wanted = mode is DepthVideo.ON
+        return worthwhile_videos(self.scene, frames, packets, self._target_bytes, self._group, sure=wanted)
+
+    def _rated(
+        self, finished: Finish | None, filter_bytes: int, videos: Sequence[Packet] = ()
+    ) -> tuple[EncoderConfig, float | None]:
         """Return the choices, and the step of a backdrop, that with a filter give the bytes wanted if there are any."""
         if self._target_bytes is None:
             return self.config, None
@@ -217,7 +232,7 @@ class Encoder:
             return replace(self.config, color=with_step(step))
 
         def made(step: float, picture_step: float | None = None) -> int:
-            return stream_bytes(self._everything(finished, config(step), picture_step))
+            return stream_bytes(self._everything(finished, config(step), picture_step, None, videos))
 
         step, size = closest_below(made, target)
         finest = max(step / FINER, LEAST_STEP)
@@ -234,8 +249,9 @@ class Encoder:
         config: EncoderConfig,
         picture_step: float | None = None,
         filters: PictureFilter | None = None,
+        videos: Sequence[Packet] = (),
     ) -> list[Packet]:
-        emitter = self._emitter(finished, config, picture_step, filters)
+        emitter = self._emitter(finished, config, picture_step, filters, videos)
         return [*emitter.head(), *self._batches(emitter, 0, last=True), emitter.end()]
 
     @property
@@ -457,12 +473,13 @@ class Encoder:
         config: EncoderConfig | None = None,
         picture_step: float | None = None,
         filters: PictureFilter | None = None,
+        videos: Sequence[Packet] = (),
     ) -> Emitter:
         if not self.reports:
             raise SequenceError(f"{self.info.name} has no frames")
         if not self.config.causal and not any(item.evidence.index.count for item in self.scene.objects.values()):
             raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
-        return Emitter(self.scene, config or self.config, finished, picture_step, filters)
+        return Emitter(self.scene, config or self.config, finished, picture_step, filters, videos)
 
     def _batches(self, emitter: Emitter, first: int, *, last: bool) -> Iterator[Packet]:
         """Yield the batches of the frames from `first` on that were taken in."""

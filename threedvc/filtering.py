@@ -17,6 +17,7 @@ from threedvc.kernels.picture_filter import add_filter_equations
 from threedvc.packets import Packet
 from threedvc.parallel import for_ranges
 from threedvc.picture_filter import KINDS, PAIRS, PictureFilter, planes_of
+from threedvc.rate_control import SHARE_PER_BYTE
 from threedvc.rendering import Renderer, RenderModel
 
 __all__ = ["FILTER_BYTES", "fitted_filter"]
@@ -26,8 +27,6 @@ FILTER_BYTES = 60
 KIND_BYTES = {False: 9.0, True: 5.0}
 """About what the factors of one kind of pixels take, by whether the stream is grey."""
 FILTER_FRAMES = 40
-SHARE_PER_BYTE = 0.4
-"""A share of the bytes of a stream is worth this share of its squared error, as steps of quantisation trade them."""
 DAMPING = 1e-4
 FACTORS = 2 * PAIRS
 UNIT = 1 / 64

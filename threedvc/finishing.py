@@ -40,7 +40,7 @@ from threedvc.guesswork import Guess, guess_surfaces
 from threedvc.lighting import epoch_frames
 from threedvc.motion import Script
 from threedvc.pose import Pose, identity, interpolated, inverse
-from threedvc.rate_control import error_at
+from threedvc.rate_control import DEPTH_SHARE, error_at
 from threedvc.readout import REGION_SHIFT, Surface, read_surface
 from threedvc.refinement import mean_misfit, misfit_frames
 from threedvc.registration import Status
@@ -53,8 +53,6 @@ __all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
 SAMPLES = 2_000_000
 TRIAL_SAMPLES = 500_000
 TRIAL_STEPS = (40.0, 24.0, 14.0, 8.0)
-DEPTH_SHARE = 0.5
-"""A tenth off the misfit of the depth counts as much as about a fifth of a decibel of colours."""
 LEAST_SIGHT = 0.2
 """Share of the sight of the cells around that a cell needs; each of the others costs twice an average one."""
 LEAST_SHARE = np.float32(0.02)

@@ -26,6 +26,7 @@ __all__ = [
     "MAX_SENSORS",
     "MAX_SEQUENCE_SAMPLES",
     "MAX_TEXTURE_BITS",
+    "MAX_VIDEO_SIDE",
 ]
 
 MAX_HEADER_BYTES: Final = 4096
@@ -66,6 +67,9 @@ MAX_SENSORS: Final = 256
 
 MAX_TEXTURE_BITS: Final = 2
 """Binary logarithm of the number of texels along an edge of a cell."""
+
+MAX_VIDEO_SIDE: Final = 4096
+"""Columns or rows of a depth video."""
 
 MAX_DEPTH_SAMPLES: Final = 1 << 20
 """Samples of a depth picture."""

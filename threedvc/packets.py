@@ -25,6 +25,7 @@ from threedvc.limits import (
     MAX_RELIEF_BITS,
     MAX_SENSORS,
     MAX_TEXTURE_BITS,
+    MAX_VIDEO_SIDE,
 )
 from threedvc.wire import ByteReader, pack_map, pack_varint, unpack_map
 
@@ -101,6 +102,7 @@ class PacketType(IntEnum):
     DEPTH = 20
     SENSOR = 21
     ORDER = 22
+    VIDEO = 23
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
@@ -444,6 +446,29 @@ class FilterHeader(Header):
     packet_type: ClassVar[PacketType] = PacketType.FILTER
 
     frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoHeader(SensorRunHeader):
+    """Depth as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    columns, rows
+        Size of its pictures, which cover those of the depth camera.
+    nearest_m, ratio
+        Depth that the value 0 means, and of each value to the one before.
+    complete
+        Whether something is everywhere, also where nothing is drawn.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.VIDEO
+
+    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
+    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
+    nearest_m: float = key("z", number(1e-6, 1e6))
+    ratio: float = key("r", number(1, 1.2))
+    complete: bool = key("c", flag(), default=False)
 
 
 @dataclass(frozen=True, kw_only=True)
