@@ -73,8 +73,8 @@ OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps"
 @click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
               help="Bits that tell where in a cell the surface passes.  [default: 1 if cheap]")  # fmt: skip
 @click.option("--depth-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
-              help="Add a video of the depth as filmed; auto: where it is not rigid, if it is worth its bytes "
-              "(medium, slow).")  # fmt: skip
+              help="Add a video of the depth as filmed, as far as the rate leaves room; auto: where it is not rigid, "
+              "if it is worth its bytes (medium, slow).")  # fmt: skip
 @click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
               help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
               )  # fmt: skip
@@ -137,6 +137,8 @@ def _configuration(choices: dict[str, Any], sensors: int) -> EncoderConfig:
         raise click.UsageError("--bitrate and --quality contradict each other; give one of them")
     if choices["causal"] and choices["preset"] not in ("live", "medium"):
         raise click.UsageError(f"--causal and --preset {choices['preset']} contradict each other; give one of them")
+    if choices["depth_video"] == "on" and (choices["causal"] or choices["preset"] == "live"):
+        raise click.UsageError("--depth-video on and --preset live contradict each other; give one of them")
     preset = Preset.LIVE if choices["causal"] else Preset(choices["preset"])
     if len(choices["sensor"]) not in (0, 1, sensors):
         raise click.UsageError(

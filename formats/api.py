@@ -202,7 +202,9 @@ class DecodedStream:
     ) -> None:
         if camera_path is not None and not len(camera_path):
             raise ConfigError("the camera path has no poses; give one line for each frame")
-        self.decoder = Decoder()
+        render = render or RenderConfig()
+        self._filmed = render.filmed_depth and "depth" in what and objects is None and camera_path is None
+        self.decoder = Decoder(filmed=self._filmed)
         self._frames, self._what, self._objects = frames or (0, None), what, objects
         self._camera_path = camera_path
         self._opened = ExitStack()
@@ -295,7 +297,7 @@ class DecodedStream:
             lights={number: light for number, light in state.lights.items() if number in shown},
             filters=state.filters if self._as_filmed else None,
         )
-        if state.filmed is None or not filmed or self._objects is not None or not renderer.config.filmed_depth:
+        if state.filmed is None:
             return picture
         return replace(picture, depth=state.filmed.shown(picture.depth, renderer.config.threads))
 

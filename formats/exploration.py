@@ -136,7 +136,7 @@ def explore(
         If no frame of it shows a surface.
     """
     config = config or ExplorationConfig()
-    decoder = Decoder()
+    decoder = Decoder(filmed=False)
     with open_input(source) as reader, errors_named(reader.name):
         states = thinned(_states(decoder, reader, on_frame))
         if decoder.header is None:

@@ -382,7 +382,7 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def _report(file: BinaryIO, name: str) -> StreamStatistics:
-    tally, decoder, course = Tally(), Decoder(), Course()
+    tally, decoder, course = Tally(), Decoder(filmed=False), Course()
     lookouts: dict[int, Lookout] = {}
     packets = tally.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):

@@ -57,7 +57,8 @@ class Motion(StrEnum):
 class DepthVideo(StrEnum):
     """Whether a file carries a video of depth that the models do not tell, see `threedvc.depth_video`.
 
-    AUTO: if the stream gains more by it than it costs; the presets LIVE and FAST have none.
+    AUTO: if the stream gains more by it than it costs; the preset FAST has none. ON: as far as the rate leaves room.
+    A live stream cannot have one.
     """
 
     AUTO = "auto"
@@ -309,6 +310,8 @@ class EncoderConfig:
             raise ConfigError(f"a rate of {self.bitrate_bps:g} bit/s is too low; give at least {least / 1000:g}k")
         if not 0.1 <= self.live_buffer_s <= 60:
             raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
+        if self.causal and self.depth_video is DepthVideo.ON:
+            raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
         if self.group_frames is not None and self.group_frames < 1:
             raise ConfigError(f"group of {self.group_frames} frames must have at least one frame")
         if self.threads < 1:

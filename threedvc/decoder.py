@@ -29,7 +29,7 @@ from threedvc.coding.update import decode_update
 from threedvc.depth_cells import spread
 from threedvc.depth_video import FilmedDepth, depth_levels
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
-from threedvc.limits import MAX_COUNT
+from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
     BackdropHeader,
@@ -190,6 +190,13 @@ def _camera(values: tuple[float, ...]) -> Camera:
     )  # fmt: skip
 
 
+def _check_pictures(members: Iterable[Packet]) -> None:
+    videos = (VideoHeader.from_map(member.header) for member in members if member.type == PacketType.VIDEO)
+    samples = sum(video.count * video.columns * video.rows for video in videos)
+    if samples > MAX_SEQUENCE_SAMPLES:
+        raise LimitExceeded(f"a BATCH holds videos of {samples} samples, at most {MAX_SEQUENCE_SAMPLES} are accepted")
+
+
 def _check_pose_count(members: Iterable[Packet]) -> None:
     headers: dict[int, type[RunHeader]] = {
         PacketType.POSE: PoseHeader,
@@ -261,6 +268,11 @@ class _Run:
 class Decoder:
     """Applies packets; the same class checks the encoder's own output.
 
+    Parameters
+    ----------
+    filmed
+        Whether depth as filmed is wanted; it needs AVIF.
+
     Attributes
     ----------
     header
@@ -275,7 +287,8 @@ class Decoder:
         Whether END came and its digest was right.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, filmed: bool = True) -> None:
+        self._filmed = filmed
         self.header: StreamHeader | None = None
         self.sensors: list[SensorHeader] = []
         self.models: dict[int, DecodedModel] = {}
@@ -373,6 +386,7 @@ class Decoder:
         stop = header.frame + header.count
         members = unpack_batch(packet)
         _check_pose_count(members)
+        _check_pictures(members)
         self._span = header.frame, stop
         self._take_turns(members)
         todo: dict[int, list[Callable[[], None]]] = {}
@@ -546,6 +560,8 @@ class Decoder:
     def _film(self, header: VideoHeader, payload: bytes) -> Iterator[tuple[int, Callable[[], None]]]:
         device = self._device("VIDEO", header)
         _, frames = self._run("VIDEO", header, header.sensor)
+        if not self._filmed:
+            return
         pictures = decode_sequence(payload, header.count, header.columns, header.rows)
         levels = depth_levels(header.nearest_m, header.ratio)
         for frame, samples in zip(frames, pictures, strict=True):

@@ -16,6 +16,7 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
+from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.config import DepthVideo, EncoderConfig, SegmentationConfig, SegmentationMode, with_step
 from threedvc.decoder import Decoder
 from threedvc.division import MOST_LOST, Division
@@ -118,10 +119,15 @@ class Encoder:
             If there is no frame, or none of them has depth.
         """
         self._began = time.perf_counter()
+        again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
+        if self.config.depth_video is DepthVideo.ON and not (again and can_encode_sequences()):
+            raise ConfigError(
+                "a depth video needs frames that can be read again, and builds of Pillow and OpenCV with AVIF; install "
+                "pillow 11.3 and opencv-python-headless 5 or newer, or leave out --depth-video on"
+            )
         if self.config.causal:
             yield from self._live(frames, on_frame)
             return
-        again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
         asked = self.config
         self._first_pass(frames, on_frame, again=again)
         if again:
@@ -198,8 +204,12 @@ class Encoder:
         packets = self._everything(finished, *choices)
         videos = self._videos(packets, frames)
         if videos and self._target_bytes is not None:
-            choices = self._rated(finished, FILTER_BYTES, videos)
-            packets = self._everything(finished, *choices)
+            fewer = self._rated(finished, FILTER_BYTES, videos)
+            rest = self._everything(finished, *fewer)
+            if stream_bytes([*rest, *videos]) > self._target_bytes:
+                videos = []
+            else:
+                choices, packets = fewer, rest
         plain_bytes = stream_bytes([*packets, *videos])
         filters = fitted_filter(packets, frames, self.config.threads)
         if filters is not None or videos:

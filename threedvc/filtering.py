@@ -50,7 +50,7 @@ def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int
         With filters for the kinds of pixels where they save more than they take; None: for none.
     """
     equations = _Equations(threads)
-    decoder, models = Decoder(), dict[int, RenderModel]()
+    decoder, models = Decoder(filmed=False), dict[int, RenderModel]()
     renderers: dict[int, Renderer] = {}
     every = spread_step(len(frames), FILTER_FRAMES, frames.info)
     for state in decoder.frames(packets):

@@ -59,6 +59,7 @@ __all__ = [
     "SnapshotHeader",
     "StreamHeader",
     "TextureHeader",
+    "VideoHeader",
     "check_supported",
     "is_understood",
     "pack_batch",

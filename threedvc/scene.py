@@ -290,11 +290,11 @@ class Scene:
         return _Look(views=self.views(frame), labels=labels, seen=observe(frame, rig, self._rays[frame.sensor]))
 
     def _meter_noise(self, item: SceneObject, look: _Look, mask: NDArray[np.bool_], T_camera_object: Pose) -> None:
-        """Find out in the first frames if a sensor scatters more than the very first made believe."""
+        """Find out in its first frames if a sensor scatters more than the very first of them made believe."""
         number = look.views.frame.sensor
         meter = self._meters.setdefault(number, NoiseMeter())
-        asked = self.config.sensor_of(number) is not Sensor.AUTO
-        if asked or meter.frames == METERED_FRAMES or not item.evidence.index.count:
+        named = self.config.sensor_of(number) is not Sensor.AUTO
+        if named or meter.frames == METERED_FRAMES or not item.evidence.index.count:
             return
         form = look.views.form(mask)
         view = cast_view(item.evidence, form, T_camera_object, self.config.threads)

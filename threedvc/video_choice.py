@@ -8,65 +8,63 @@ measure by which cells are chosen: the logarithm of the depth's misfit against t
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import inf
+from math import ceil, inf
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.picture_sequence import (
-    can_decode_sequences,
-    can_encode_sequences,
-    decode_sequence,
-    encode_sequence,
-)
+from threedvc.coding.picture_sequence import can_encode_sequences, decode_sequence, encode_sequence
 from threedvc.config import RenderConfig
 from threedvc.decoder import Decoder
 from threedvc.depth_video import LEVELS, FilmedDepth, depth_levels
 from threedvc.frame import FrameSequence
+from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
 from threedvc.packets import Packet, VideoHeader
 from threedvc.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stream_bytes
 from threedvc.refinement import mean_misfit
 from threedvc.rendering import Renderer, RenderModel, fill_unknown
 from threedvc.scene import Scene
 
-__all__ = ["VideoChoice", "worthwhile_videos"]
+__all__ = ["worthwhile_videos"]
 
 SCALES = (0.25, 0.375, 0.5)
 MIDDLE_QUALITY, OTHER_QUALITIES = 65, (50, 80)
 TRIAL_FRAMES, TRIAL_PICTURES = 60, 8
 """Frames in a row that are tried, and how many of them are drawn."""
 HOPELESS = -0.15
-"""A gain this low of the smallest and coarsest video speaks against all of them."""
+"""A gain this low of the smallest video speaks against all of them."""
 WORTHWHILE = 0.05
 MOST_OF_RATE = 0.6
 """Share of the bytes of a stream of given rate that a video may take."""
 ENDS_PERCENT = 0.1
 COMPLETE = 0.995
-"""Where this part of the pixels is measured, the video shows something everywhere."""
+"""Where this part of the pixels of every frame is measured, a run shows something everywhere."""
 LEAST_RATIO, GREATEST_RATIO = 1.0001, 1.1
 LEAST_SIDE = 16
 MOST_THOROUGH = 4_000_000
 """Samples of a run above which the most thorough coding takes too long."""
 PACKET_BYTES = 40
 FAR = np.float32(1e6)
+Depths = list[NDArray[np.float32]]
+"""Depth maps (h, w) in metres, 0 = nothing."""
 
 
-class VideoChoice(NamedTuple):
-    """How the depth of a sensor is filmed: size of the pictures, their quality, and whether they show all pixels."""
+class _Choice(NamedTuple):
+    """Size of the pictures, and their quality."""
 
     columns: int
     rows: int
     quality: int
-    complete: bool
 
 
-class _Run(NamedTuple):
-    """Frames filmed: the depths that values mean, and the coded pictures."""
+class _Film(NamedTuple):
+    """A run of depth maps, coded: the depths that values mean, and whether the run shows something everywhere."""
 
     nearest_m: float
     ratio: float
+    complete: bool
     payload: bytes
 
 
@@ -79,7 +77,7 @@ def worthwhile_videos(
     *,
     sure: bool,
 ) -> list[Packet]:
-    """Return VIDEO packets of all frames of those sensors whose depth is worth it.
+    """Return VIDEO packets of the frames of those sensors whose depth is worth it; frames without depth have none.
 
     Parameters
     ----------
@@ -94,96 +92,146 @@ def worthwhile_videos(
     group
         Frames of a BATCH, no run of pictures crosses its end.
     sure
-        Whether a video is wanted in any case.
+        Whether a video is wanted wherever the target leaves room for it.
     """
-    if not (can_encode_sequences() and can_decode_sequences()):
+    if not can_encode_sequences():
         return []
     total = float(stream_bytes(packets) if target_bytes is None else target_bytes)
+    seeing = [frame for frame, blind in enumerate(scene.blind) if not blind]
     videos: list[Packet] = []
     for sensor in range(len(scene.info.rigs)):
-        trial = _Trial(scene, frames, packets, sensor)
-        if trial.misfit is None:
+        own = [frame for frame in seeing if scene.sensors[frame] == sensor]
+        if not own:
             continue
-        choice = trial.best(total * scene.sensors.count(sensor) / len(frames), target_bytes is not None, sure)
+        stream = total * scene.sensors.count(sensor) / len(frames)
+        choice = _Trial(scene, frames, packets, own, group).best(stream, target_bytes is not None, sure)
         if choice is not None:
-            videos += _packets(scene, frames, sensor, choice, group)
-    return videos
+            videos += _Filming(scene, frames, packets, own, group).packets(sensor, choice)
+    most = inf if target_bytes is None else MOST_OF_RATE * total
+    return videos if sum(len(video.payload) for video in videos) <= most else []
 
 
 class _Trial:
-    """Frames in the middle of a sequence that one sensor took, and what the models draw of them."""
+    """Frames in the middle of those that one sensor took, and what the models draw of some of them."""
 
-    def __init__(self, scene: Scene, frames: FrameSequence, packets: Sequence[Packet], sensor: int) -> None:
-        self._scene, self._frames, self._threads = scene, frames, scene.config.threads
-        own = [frame for frame in range(len(frames)) if scene.sensors[frame] == sensor]
+    def __init__(
+        self, scene: Scene, frames: FrameSequence, packets: Sequence[Packet], own: Sequence[int], group: int
+    ) -> None:
+        self._threads = scene.config.threads
         first = max(0, (len(own) - TRIAL_FRAMES) // 2)
-        self._numbers = own[first : first + TRIAL_FRAMES]
-        self._share = len(self._numbers) / max(len(own), 1)
-        self._measured = [_measured(scene, frames, number) for number in self._numbers]
-        some = self._numbers[:: max(1, len(self._numbers) // TRIAL_PICTURES)]
-        self._drawn = dict(_drawn(packets, some, self._threads))
-        self.misfit = self._misfit({}) if any(depth.any() for depth in self._measured) else None
+        numbers = own[first : first + TRIAL_FRAMES]
+        self._share = len(numbers) / len(own)
+        self._measured = [_measured(scene, frames, number) for number in numbers]
+        some = numbers[:: ceil(len(numbers) / TRIAL_PICTURES)]
+        self._drawn = {numbers.index(number): depth for number, depth in _drawn(packets, some, self._threads)}
+        height, width = self._measured[0].shape
+        most = MAX_SEQUENCE_SAMPLES / (max(group, TRIAL_FRAMES) * len(scene.info.rigs) * width * height)
+        self._most_scale = min(0.99 * most**0.5, MAX_VIDEO_SIDE / max(width, height))
+        self._misfit = self._misfit_with({})
 
-    def best(self, stream: float, fixed: bool, sure: bool) -> VideoChoice | None:
+    def best(self, stream: float, fixed: bool, sure: bool) -> _Choice | None:
         """Return the choice that gains most for a stream of a number of bytes, `fixed` or to be added to."""
-        gains: dict[VideoChoice, float] = {}
+        gains: dict[_Choice, float] = {}
         for scale in SCALES:
-            choice = self._choice(scale, MIDDLE_QUALITY)
-            gains[choice] = self._gain(choice, stream, fixed)
+            choice = self._choice(scale)
+            if choice not in gains:
+                gains[choice] = self._gain(choice, stream, fixed)
             if gains[choice] < HOPELESS and not sure:
                 return None
-        best = max(gains, key=lambda each: gains[each])
+        middle = max(gains, key=lambda each: gains[each])
         for quality in OTHER_QUALITIES:
-            choice = best._replace(quality=quality)
+            choice = middle._replace(quality=quality)
             gains[choice] = self._gain(choice, stream, fixed)
         best = max(gains, key=lambda each: gains[each])
-        return best if sure or gains[best] > WORTHWHILE else None
+        return best if gains[best] > (-inf if sure else WORTHWHILE) else None
 
-    def _choice(self, scale: float, quality: int) -> VideoChoice:
+    def _choice(self, scale: float) -> _Choice:
         height, width = self._measured[0].shape
-        return VideoChoice(
-            columns=min(max(round(scale * width), LEAST_SIDE), width),
-            rows=min(max(round(scale * height), LEAST_SIDE), height),
-            quality=quality,
-            complete=float(np.mean([np.mean(depth > 0) for depth in self._measured])) > COMPLETE,
-        )
+        scale = min(scale, self._most_scale)
+        rows, columns = (min(max(int(scale * side), LEAST_SIDE), side) for side in (height, width))
+        return _Choice(columns, rows, MIDDLE_QUALITY)
 
-    def _gain(self, choice: VideoChoice, stream: float, fixed: bool) -> float:
-        run = _filmed(self._measured, choice, thorough=False)
-        taken = (len(run.payload) + PACKET_BYTES) / self._share
+    def _gain(self, choice: _Choice, stream: float, fixed: bool) -> float:
+        film = _filmed(self._measured, self._measured, choice, thorough=False)
+        taken = (len(film.payload) + PACKET_BYTES) / self._share
         if fixed and taken > MOST_OF_RATE * stream:
             return -inf
         dearer = -np.log(1 - taken / stream) if fixed else np.log(1 + taken / stream)
-        pictures = decode_sequence(run.payload, len(self._measured), choice.columns, choice.rows)
-        levels = depth_levels(run.nearest_m, run.ratio)
-        films = {
-            number: FilmedDepth(samples=samples, levels=levels, complete=choice.complete)
-            for number, samples in zip(self._numbers, pictures, strict=True)
+        pictures = decode_sequence(film.payload, len(self._measured), choice.columns, choice.rows)
+        levels = depth_levels(film.nearest_m, film.ratio)
+        shown = {
+            at: FilmedDepth(samples=pictures[at], levels=levels, complete=film.complete).shown(drawn, self._threads)
+            for at, drawn in self._drawn.items()
         }
-        assert self.misfit is not None
-        better = np.log((self.misfit + 1e-4) / (self._misfit(films) + 1e-4))
+        better = np.log((self._misfit + 1e-4) / (self._misfit_with(shown) + 1e-4))
         return float(DEPTH_SHARE * better - SHARE_PER_BYTE * dearer)
 
-    def _misfit(self, films: dict[int, FilmedDepth]) -> float:
-        """Return the misfit of what is drawn, or filmed; what is missing fits not at all."""
+    def _misfit_with(self, shown: dict[int, NDArray[np.float32]]) -> float:
+        """Return the misfit of what is drawn, or shown instead; what is missing fits not at all."""
+        pictures = ((shown.get(at, drawn), self._measured[at]) for at, drawn in self._drawn.items())
+        return mean_misfit((np.where(depth > 0, depth, FAR), measured) for depth, measured in pictures)
 
-        def pictures() -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-            for number, drawn in self._drawn.items():
-                shown = films[number].shown(drawn, self._threads) if number in films else drawn
-                yield np.where(shown > 0, shown, FAR), self._measured[self._numbers.index(number)]
 
-        return mean_misfit(pictures())
+class _Filming:
+    """Writes the video of one sensor."""
+
+    def __init__(
+        self, scene: Scene, frames: FrameSequence, packets: Sequence[Packet], own: Sequence[int], group: int
+    ) -> None:
+        self._scene, self._frames, self._own, self._group = scene, frames, own, group
+        self._drawn = _drawn(packets, own, scene.config.threads)
+
+    def packets(self, sensor: int, choice: _Choice) -> Iterator[Packet]:
+        """Yield a packet for each run of frames with depth in a BATCH."""
+        for numbers in self._runs(sensor):
+            measured = [_measured(self._scene, self._frames, number) for number in numbers]
+            film = _filmed(measured, self._filled(measured), choice, thorough=True)
+            header = VideoHeader(
+                frame=numbers[0],
+                count=len(numbers),
+                sensor=sensor,
+                columns=choice.columns,
+                rows=choice.rows,
+                nearest_m=film.nearest_m,
+                ratio=film.ratio,
+                complete=film.complete,
+            )
+            yield header.packet(film.payload, critical=False)
+
+    def _runs(self, sensor: int) -> Iterator[list[int]]:
+        seeing = set(self._own)
+        for first in range(0, len(self._frames), self._group):
+            run: list[int] = []
+            for frame in range(first, min(first + self._group, len(self._frames))):
+                if self._scene.sensors[frame] != sensor:
+                    continue
+                if frame in seeing:
+                    run.append(frame)
+                elif run:
+                    yield run
+                    run = []
+            if run:
+                yield run
+
+    def _filled(self, measured: Depths) -> Depths:
+        """Return depth maps with what the models draw where nothing was measured: there it shall stay."""
+        filled = []
+        for depth in measured:
+            _, drawn = next(self._drawn)
+            filled.append(np.where(depth > 0, depth, drawn))
+        return filled
 
 
 def _drawn(
     packets: Sequence[Packet], numbers: Sequence[int], threads: int
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """Yield the depth (h, w) that packets draw of some frames, with their numbers."""
-    decoder, models = Decoder(), dict[int, RenderModel]()
-    wanted = set(numbers)
+    """Yield the depth (h, w) that packets draw of some frames of one sensor, with their numbers, which rise."""
+    decoder, models = Decoder(filmed=False), dict[int, RenderModel]()
+    wanted = iter([*numbers, -1])
+    due = next(wanted)
     renderer: Renderer | None = None
     for state in decoder.frames(packets):
-        if state.index not in wanted:
+        if state.index != due:
             continue
         renderer = renderer or Renderer(decoder.rigs[state.sensor], RenderConfig(threads=threads))
         for number in state.T_camera_object:
@@ -191,8 +239,8 @@ def _drawn(
                 models[number] = RenderModel(decoder.models[number])
             models[number].refresh(threads)
         yield state.index, renderer.draw(models, state.T_camera_object, color=False).depth
-        wanted.remove(state.index)
-        if not wanted:
+        due = next(wanted)
+        if due < 0:
             return
 
 
@@ -200,27 +248,25 @@ def _measured(scene: Scene, frames: FrameSequence, number: int) -> NDArray[np.fl
     return scene.limited(frames[number]).depth
 
 
-def _filmed(measured: Sequence[NDArray[np.float32]], choice: VideoChoice, *, thorough: bool) -> _Run:
-    """Return a run of depth maps, filmed; the depths that values mean reach over what all but a few pixels measure."""
-    seen = (depth[depth > 0] for depth in measured)
-    ends = [np.percentile(some, [ENDS_PERCENT, 100 - ENDS_PERCENT]) for some in seen if len(some)]
-    nearest, furthest = (min(near for near, _ in ends), max(far for _, far in ends)) if ends else (1.0, 1.0)
+def _filmed(measured: Depths, filled: Depths, choice: _Choice, *, thorough: bool) -> _Film:
+    """Code depth maps, `filled` where nothing was `measured`; values reach over the depths of all but a few pixels."""
+    ends = [np.percentile(depth[depth > 0], [ENDS_PERCENT, 100 - ENDS_PERCENT]) for depth in filled]
+    nearest, furthest = float(min(near for near, _ in ends)), float(max(far for _, far in ends))
     ratio = float(np.clip((furthest / nearest) ** (1 / (LEVELS - 1)), LEAST_RATIO, GREATEST_RATIO))
-    samples = _samples(measured, choice, float(nearest), ratio)
-    return _Run(
-        float(nearest),
-        ratio,
-        encode_sequence(samples, choice.quality, thorough=thorough and samples.size < MOST_THOROUGH),
+    samples = _samples(filled, choice, nearest, ratio)
+    return _Film(
+        nearest_m=nearest,
+        ratio=ratio,
+        complete=min(float(np.mean(depth > 0)) for depth in measured) > COMPLETE,
+        payload=encode_sequence(samples, choice.quality, thorough=thorough and samples.size < MOST_THOROUGH),
     )
 
 
-def _samples(
-    measured: Sequence[NDArray[np.float32]], choice: VideoChoice, nearest_m: float, ratio: float
-) -> NDArray[np.uint8]:
-    """Return the samples (frames, rows, columns) of depth maps; holes are filled from around."""
+def _samples(depths: Depths, choice: _Choice, nearest_m: float, ratio: float) -> NDArray[np.uint8]:
+    """Return the samples (frames, rows, columns) of depth maps; what is missing is filled from around."""
     size = choice.columns, choice.rows
     pictures = []
-    for depth in measured:
+    for depth in depths:
         seen = depth > 0
         steps = np.log(np.where(seen, depth, nearest_m) / nearest_m) / np.log(ratio)
         weight = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
@@ -229,22 +275,3 @@ def _samples(
         fill_unknown(mean, (weight > 0).astype(np.uint8))
         pictures.append(np.clip(np.rint(mean[..., 0]), 0, LEVELS - 1).astype(np.uint8))
     return np.stack(pictures)
-
-
-def _packets(scene: Scene, frames: FrameSequence, sensor: int, choice: VideoChoice, group: int) -> Iterator[Packet]:
-    """Yield the packets of all frames of a sensor, one for each BATCH."""
-    for first in range(0, len(frames), group):
-        numbers = [n for n in range(first, min(first + group, len(frames))) if scene.sensors[n] == sensor]
-        if numbers:
-            run = _filmed([_measured(scene, frames, number) for number in numbers], choice, thorough=True)
-            header = VideoHeader(
-                frame=numbers[0],
-                count=len(numbers),
-                sensor=sensor,
-                columns=choice.columns,
-                rows=choice.rows,
-                nearest_m=run.nearest_m,
-                ratio=run.ratio,
-                complete=choice.complete,
-            )
-            yield header.packet(run.payload, critical=False)

@@ -56,7 +56,7 @@ def test_the_usual_frame_of_the_file_is_left_out() -> None:
     payload = encode_picture(wanted, 40, False)
     make, magnified = payload[0] & 1, payload[0] & ~1
     assert make == picture_coding.STRIPPED
-    whole = picture_coding.completed_file(bytes([make]) + payload[1:], 100, 120)
+    whole = picture_coding._completed(bytes([make]) + payload[1:], 100, 120)
     assert len(payload) < len(whole) - 260
     other = bytes([picture_coding.WHOLE | magnified]) + whole
     np.testing.assert_array_equal(decode_picture(other, 100, 80, False), decode_picture(payload, 100, 80, False))
@@ -65,7 +65,7 @@ def test_the_usual_frame_of_the_file_is_left_out() -> None:
 def test_a_file_of_another_make_is_kept_whole() -> None:
     planes = picture_coding._planes(scene(100, 80), False)
     odd = cv2.imencode(".avif", np.repeat(planes[..., None], 3, axis=2))[1].tobytes()
-    assert picture_coding.stripped_file(odd, 100, 120) == bytes([picture_coding.WHOLE]) + odd
+    assert picture_coding._stripped(odd, 100, 120) == bytes([picture_coding.WHOLE]) + odd
 
 
 def test_bytes_go_where_they_save_squared_error() -> None:

@@ -11,21 +11,23 @@ import pytest
 from numpy.typing import NDArray
 
 import threedvc
+import threedvc.encoder as encoder_module
 from streams import ListSequence
-from threedvc.coding.picture_sequence import can_decode_sequences, can_encode_sequences, encode_sequence
+from threedvc import video_choice
+from threedvc.coding import picture_sequence
+from threedvc.coding.picture_sequence import can_encode_sequences, encode_sequence
 from threedvc.config import DepthVideo, EncoderConfig, Motion, RenderConfig
 from threedvc.decoder import Decoder
 from threedvc.depth_video import EDGE, FilmedDepth, depth_levels
 from threedvc.encoder import Encoder, verified
-from threedvc.errors import CorruptStream
+from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, UnsupportedVersion
+from threedvc.merging import MergedSequence
 from threedvc.packets import BatchHeader, Packet, PacketType, VideoHeader, pack_batch, unpack_batch
 from threedvc.rate_control import stream_bytes
 from threedvc.synthesis import SyntheticSequence, make_scene
 from wobbling_room import wobbling
 
-with_video = pytest.mark.skipif(
-    not (can_encode_sequences() and can_decode_sequences()), reason="these builds of Pillow and OpenCV have no AVIF"
-)
+with_video = pytest.mark.skipif(not can_encode_sequences(), reason="these builds of Pillow and OpenCV have no AVIF")
 FRAMES = 12
 LEVELS = depth_levels(0.5, 1.01)
 CONFIG = EncoderConfig(motion=Motion.KNOWN, depth_video=DepthVideo.ON, refine=False, threads=2)
@@ -140,6 +142,164 @@ def test_a_rate_is_met_with_a_video() -> None:
     packets = list(encoder.packets(sequence))
     assert video_of(packets)
     assert stream_bytes(packets) <= rate * FRAMES / sequence.info.fps / 8
+
+
+@with_video
+def test_a_rate_that_leaves_no_room_is_kept_without() -> None:
+    sequence = wobbling(FRAMES)
+    target = 20_000.0 * FRAMES / sequence.info.fps / 8
+    encoder = Encoder(sequence.info, replace(CONFIG, bitrate_bps=20_000.0))
+    packets = list(encoder.packets(sequence))
+    assert stream_bytes(packets) <= max(target, stream_bytes(without(packets)))
+
+
+def without(packets: list[Packet]) -> list[Packet]:
+    def bare(packet: Packet) -> Packet:
+        if packet.type != PacketType.BATCH:
+            return packet
+        members = [member for member in unpack_batch(packet) if member.type != PacketType.VIDEO]
+        return pack_batch(BatchHeader.from_map(packet.header), members)
+
+    return [bare(packet) for packet in packets]
+
+
+@with_video
+def test_a_file_takes_one_by_itself_where_it_is_worth_it() -> None:
+    sequence = wobbling(24, (160, 120))
+    config = replace(CONFIG, depth_video=DepthVideo.AUTO, refine=True)
+    assert video_of(list(Encoder(sequence.info, config).packets(sequence)))
+
+
+@with_video
+def test_frames_without_depth_have_no_picture() -> None:
+    sequence = wobbling(FRAMES)
+    kept = [
+        replace(frame, depth=np.zeros_like(frame.depth)) if frame.index in (3, 4, 9) else frame for frame in sequence
+    ]
+    packets = list(Encoder(sequence.info, CONFIG).packets(ListSequence(kept, sequence.info)))
+    headers = [VideoHeader.from_map(member.header) for member in video_of(packets)]
+    assert [(header.frame, header.count) for header in headers] == [(0, 3), (5, 4), (10, 2)]
+    states = list(Decoder().frames(packets))
+    assert [state.index for state in states if state.filmed is None] == [3, 4, 9]
+
+
+@with_video
+def test_where_nothing_was_measured_the_models_stay(tmp_path: Path) -> None:
+    sequence = wobbling(FRAMES)
+    kept = []
+    for frame in sequence:
+        depth = frame.depth.copy()
+        if frame.index > 2:
+            depth[:, :40] = 0
+        kept.append(replace(frame, depth=depth))
+    path = saved(ListSequence(kept, sequence.info), CONFIG, tmp_path / "half.3dvc")
+    models = [frame.depth for frame in threedvc.decode(path, render=RenderConfig(filmed_depth=False, threads=2))]
+    film = [frame.depth for frame in threedvc.decode(path)]
+    for shown, drawn in list(zip(film, models, strict=True))[4:]:
+        here = drawn[:, :32] > 0
+        assert np.median(np.abs(shown[:, :32] - drawn[:, :32])[here] / drawn[:, :32][here]) < 0.02
+        assert (shown[drawn == 0] == 0).all()
+
+
+@with_video
+def test_large_pictures_are_filmed_as_large_as_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence = wobbling(FRAMES)
+    most = 60 * 30 * 24
+    monkeypatch.setattr(video_choice, "MAX_SEQUENCE_SAMPLES", most)
+    packets = list(Encoder(sequence.info, CONFIG).packets(sequence))
+    (video,) = video_of(packets)
+    header = VideoHeader.from_map(video.header)
+    assert 16 <= header.columns <= 30
+    assert header.count * header.columns * header.rows <= most
+
+
+@with_video
+def test_sensors_have_videos_of_their_own(tmp_path: Path) -> None:
+    calm, other = wobbling(FRAMES), wobbling(FRAMES, share=0.031)
+    merged = MergedSequence([calm, other], [np.eye(4)])
+    path = tmp_path / "two.3dvc"
+    threedvc.encode(merged, path, CONFIG)
+    pictures = {0: calm, 1: other}
+    shares: dict[int, list[float]] = {0: [], 1: []}
+    models: dict[int, list[float]] = {0: [], 1: []}
+    for found, render in ((shares, None), (models, RenderConfig(filmed_depth=False, threads=2))):
+        for drawn in threedvc.decode(path, render=render):
+            given = pictures[drawn.sensor][drawn.number].depth
+            found[drawn.sensor].append(float(np.mean(np.abs(drawn.depth - given) < 0.01 * given)))
+    for sensor in (0, 1):
+        assert np.mean(shares[sensor]) > 1.2 * np.mean(models[sensor])
+
+
+@with_video
+def test_builds_without_avif_still_decode_the_models(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence = wobbling(FRAMES)
+    path = saved(sequence, CONFIG, tmp_path / "a.3dvc")
+    monkeypatch.setattr(picture_sequence, "can_decode_sequences", lambda: False)
+    with pytest.raises(UnsupportedVersion, match="install opencv-python-headless"):
+        list(threedvc.decode(path))
+    assert len(list(threedvc.decode(path, render=RenderConfig(filmed_depth=False)))) == FRAMES
+    assert len(list(threedvc.decode(path, what=frozenset({"color"})))) == FRAMES
+    assert threedvc.statistics(path).frames == FRAMES
+
+
+def test_what_cannot_have_a_video_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match="a live stream cannot have a depth video"):
+        replace(CONFIG, causal=True)
+    sequence = wobbling(FRAMES)
+    with pytest.raises(ConfigError, match="frames that can be read again"):
+        list(Encoder(sequence.info, CONFIG).packets(iter(sequence)))
+    monkeypatch.setattr(encoder_module, "can_encode_sequences", lambda: False)
+    with pytest.raises(ConfigError, match="install pillow"):
+        list(Encoder(sequence.info, CONFIG).packets(sequence))
+
+
+@with_video
+def test_videos_of_too_many_samples_are_refused() -> None:
+    payload = encode_sequence(np.zeros((1, 16, 16), dtype=np.uint8), 50)
+    sequence = wobbling(FRAMES)
+    packets = without(list(Encoder(sequence.info, replace(CONFIG, depth_video=DepthVideo.OFF)).packets(sequence)))
+    header = VideoHeader(frame=0, columns=4096, rows=4096, nearest_m=1.0, ratio=1.01)
+    more = [replace(header, frame=frame).packet(payload, critical=False) for frame in range(5)]
+    at = next(at for at, packet in enumerate(packets) if packet.type == PacketType.BATCH)
+    packets[at] = pack_batch(BatchHeader.from_map(packets[at].header), [*unpack_batch(packets[at]), *more])
+    with pytest.raises(LimitExceeded, match="videos of 83886080 samples"):
+        list(Decoder().frames(packets))
+
+
+@pytest.mark.parametrize("complete", [False, True])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (16, 16), (23, 5)])
+def test_magnified_pictures_are_those_of_a_slow_reference(
+    shape: tuple[int, int], complete: bool, rng: np.random.Generator
+) -> None:
+    samples = rng.choice([0, 7, 8, 9, 120, 250, 255], shape).astype(np.uint8)
+    drawn = rng.choice([0, 0.5, 0.52, 1.6, 6.0], (31, 40)).astype(np.float32)
+    shown = filmed(samples, complete=complete).shown(drawn, 2)
+    np.testing.assert_allclose(shown, slowly_magnified(samples, drawn, complete), rtol=1e-6)
+
+
+def slowly_magnified(samples: NDArray[np.uint8], drawn: NDArray[np.float32], complete: bool) -> NDArray[np.float32]:
+    """Do what docs/drawing.md says, pixel by pixel."""
+    rows, columns = samples.shape
+    height, width = drawn.shape
+    result = np.zeros_like(drawn)
+    for y, x in np.ndindex(height, width):
+        if drawn[y, x] == 0 and not complete:
+            continue
+        v, u = (y + 0.5) * rows / height - 0.5, (x + 0.5) * columns / width - 0.5
+        i, j = int(np.floor(v)), int(np.floor(u))
+        there = samples[np.clip(np.arange(i - 1, i + 3), 0, rows - 1)][
+            :, np.clip(np.arange(j - 1, j + 3), 0, columns - 1)
+        ].astype(float)
+        down, across = (
+            np.array([f * (f * (2 - f) - 1), f * f * (3 * f - 5) + 2, f * (f * (4 - 3 * f) + 1), f * f * (f - 1)]) / 2
+            for f in (v - i, u - j)
+        )
+        s = np.clip(down @ (there @ across), 0, 255)
+        k = min(int(s), 254)
+        least, greatest = (LEVELS[int(end)] for end in (there[1:3, 1:3].min(), there[1:3, 1:3].max()))
+        meeting = greatest > 1.1 * least and least <= drawn[y, x] <= greatest
+        result[y, x] = drawn[y, x] if meeting else LEVELS[k] + (s - k) * (LEVELS[k + 1] - LEVELS[k])
+    return result
 
 
 @with_video

@@ -19,17 +19,7 @@ from PIL import Image, features
 
 from threedvc.errors import CorruptStream, UnsupportedVersion
 
-__all__ = [
-    "STRIPPED",
-    "WHOLE",
-    "avif_file",
-    "can_decode_pictures",
-    "can_encode_pictures",
-    "completed_file",
-    "decode_picture",
-    "encode_picture",
-    "stripped_file",
-]
+__all__ = ["avif_file", "can_decode_pictures", "can_encode_pictures", "decode_picture", "encode_picture"]
 
 WHOLE, STRIPPED = 0, 1
 MAX_MAGNIFIED = 3
@@ -82,7 +72,7 @@ def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool, *, thor
     magnified = _magnification(picture, grey)
     planes = _planes(picture, grey, magnified)
     file = avif_file(planes[None], quality, THOROUGH_SPEED if thorough else QUICK_SPEED, LEAST_SQUARES)
-    payload = stripped_file(file, planes.shape[1], planes.shape[0])
+    payload = _stripped(file, planes.shape[1], planes.shape[0])
     return bytes([payload[0] | magnified << 1]) + payload[1:]
 
 
@@ -133,7 +123,7 @@ def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArr
     columns = width if grey else 2 * -(-width // 2)
     if not payload or payload[0] >> 1 > MAX_MAGNIFIED:
         raise CorruptStream("a picture is of an unknown make; the stream is damaged")
-    magnified, data = payload[0] >> 1, completed_file(bytes([payload[0] & 1]) + payload[1:], columns, rows)
+    magnified, data = payload[0] >> 1, _completed(bytes([payload[0] & 1]) + payload[1:], columns, rows)
     if not can_decode_pictures():
         raise UnsupportedVersion(
             "this build of OpenCV cannot read AVIF pictures; install opencv-python-headless 5 or newer"
@@ -200,26 +190,19 @@ def _doubled(plane: NDArray[np.int32]) -> NDArray[np.int32]:
     return plane
 
 
-def stripped_file(data: bytes, width: int, height: int) -> bytes:
-    """Leave out of the file of one plane what `completed_file` can put back; one of another make is kept whole."""
+def _stripped(data: bytes, width: int, height: int) -> bytes:
+    """Leave out what `_completed` can put back; a file of another make is kept whole."""
     start = len(HEAD) + 4 + len(ITEM) + 8 + len(CHANNELS)
     config = data[start : start + COLOR_CONFIG_BYTES]
     payload = bytes([STRIPPED]) + config + data[start + COLOR_CONFIG_BYTES + len(TAIL) + 8 :]
-    again = completed_file(payload, width, height)
+    again = _completed(payload, width, height)
     # Only what the file says of its primaries may differ: they mean nothing here.
     color = start + COLOR_CONFIG_BYTES + COLOR_BOX.start, start + COLOR_CONFIG_BYTES + COLOR_BOX.stop
     alike = data[: color[0]] + again[color[0] : color[1]] + data[color[1] :] == again
     return payload if alike else bytes([WHOLE]) + data
 
 
-def completed_file(payload: bytes, width: int, height: int) -> bytes:
-    """Return the AVIF file of one plane of a payload by `stripped_file`.
-
-    Raises
-    ------
-    CorruptStream
-        If the payload is of neither make, or its picture not of this size.
-    """
+def _completed(payload: bytes, width: int, height: int) -> bytes:
     if not payload or payload[0] not in (WHOLE, STRIPPED):
         raise CorruptStream("a picture is of an unknown make; the stream is damaged")
     if payload[0] == WHOLE:

@@ -2,14 +2,14 @@
 """Runs of grey pictures as AV1 video, whose decoding is exact everywhere.
 
 A payload holds the frames alone: where each one is shown follows from its first bits, and what an AVIF file says
-around them from their number and size. One picture is stored as in `threedvc.coding.picture`.
+around them from their number and size. No size but that of the run can stand in it.
 """
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache
 from io import BytesIO
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, features
 
-from threedvc.coding.picture import STRIPPED, WHOLE, avif_file, can_decode_pictures, completed_file, stripped_file
+from threedvc.coding.picture import avif_file, can_decode_pictures
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.limits import MAX_SEQUENCE_SAMPLES
 from threedvc.wire import ByteReader, pack_varint
@@ -39,8 +39,6 @@ SEQUENCE_HEADER, FRAME, FRAME_HEADER = 0x0A, 0x32, 0x1A
 SHOWS_EARLIER, SHOWN = 0x80, 0x10
 """Bits of a frame's first byte. What only shows an earlier frame is a frame header without a frame."""
 CONFIG_BYTES = 4
-TRACK_BOX = re.compile(rb"tkhd(?:\x00.{75}|\x01.{87})(.{8})", re.DOTALL)
-"""Where an animation tells its size once more, in 65536ths of a pixel."""
 MAX_SIDE = (1 << 16) - 1
 BRANDS = b"avis" + bytes(4) + b"avismsf1miaf"
 MATRIX = struct.pack(">9I", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
@@ -49,9 +47,16 @@ UNDETERMINED = 0x55C4 << 16
 FULL_RANGE = b"nclx" + struct.pack(">HHHB", 2, 2, 2, 0x80)
 
 
+@cache
 def can_encode_sequences() -> bool:
-    """Tell whether this build of Pillow can write AVIF."""
-    return bool(features.check("avif"))
+    """Tell whether this build of Pillow can write AVIF as it is needed here."""
+    if not (features.check("avif") and can_decode_sequences()):
+        return False
+    try:
+        encode_sequence(np.zeros((2, 16, 16), dtype=np.uint8), 50, thorough=False)
+    except (UnsupportedVersion, ValueError, OSError):
+        return False
+    return True
 
 
 def can_decode_sequences() -> bool:
@@ -77,21 +82,16 @@ def encode_sequence(planes: NDArray[np.uint8], quality: int, *, thorough: bool =
         If there is no picture, or its sides are not within 1..65535.
     LimitExceeded
         If there are more than `MAX_SEQUENCE_SAMPLES`.
+    UnsupportedVersion
+        If what this build of Pillow writes cannot be put into a payload.
     """
     count, height, width = planes.shape
     if not _is_possible(count, width, height):
         raise ValueError(f"{count} pictures of {width}x{height} pixels cannot be coded")
     _check_limit(count, width, height)
+    planes = np.repeat(planes, 2, axis=0) if count == 1 else planes  # of one a file would hold a still picture
     data = avif_file(planes, quality, THOROUGH_SPEED if thorough else QUICK_SPEED, LEAST_SQUARES)
-    if count == 1:
-        return stripped_file(data, width, height)
-    try:
-        payload = _stripped(data)
-        if np.array_equal(decode_sequence(payload, count, width, height), _decoded(data, count, width, height)):
-            return payload
-    except (CorruptStream, ValueError):
-        pass
-    return bytes([WHOLE]) + data
+    return _checked(data, len(planes), width, height)
 
 
 def decode_sequence(payload: bytes, count: int, width: int, height: int) -> NDArray[np.uint8]:
@@ -109,12 +109,16 @@ def decode_sequence(payload: bytes, count: int, width: int, height: int) -> NDAr
     if not _is_possible(count, width, height):
         raise CorruptStream(f"{count} pictures of {width}x{height} pixels are impossible; the stream is damaged")
     _check_limit(count, width, height)
-    if count == 1 or payload[:1] == bytes([WHOLE]):
-        data = completed_file(payload, width, height)
-        _check_sizes(_track_sizes(data), width, height)
-    else:
-        data = _completed(payload, count, width, height)
-    return _decoded(data, count, width, height)
+    return _pictures(payload, max(count, 2), width, height)[:count]
+
+
+def _checked(data: bytes, count: int, width: int, height: int) -> bytes:
+    """Return the payload of an animation; whether that can be put back is tried."""
+    with suppress(CorruptStream, ValueError):
+        payload = _stripped(data)
+        if np.array_equal(_pictures(payload, count, width, height), _decoded(data, count, width, height)):
+            return payload
+    raise UnsupportedVersion("this build of Pillow writes AVIF of an unusual make; install pillow 11.3 or newer")
 
 
 def _is_possible(count: int, width: int, height: int) -> bool:
@@ -128,18 +132,12 @@ def _check_limit(count: int, width: int, height: int) -> None:
         )
 
 
-def _check_sizes(sizes: Iterable[tuple[float, float]], width: int, height: int) -> None:
-    if any(size != (width, height) for size in sizes):
-        raise CorruptStream(f"a run of pictures is not of {width}x{height} pixels as it must be; the stream is damaged")
-
-
-def _track_sizes(data: bytes) -> list[tuple[float, float]]:
-    pairs = (struct.unpack(">II", track[1]) for track in TRACK_BOX.finditer(data))
-    return [(width / 65536, height / 65536) for width, height in pairs]
+def _pictures(payload: bytes, count: int, width: int, height: int) -> NDArray[np.uint8]:
+    return _decoded(_completed(payload, count, width, height), count, width, height)
 
 
 def _stripped(data: bytes) -> bytes:
-    """Leave out of an animation all that `_completed` can do without; whether it can is for the caller to try."""
+    """Leave out of an animation all that `_completed` can do without."""
     config = data.index(b"av1C") + 4
     reader = ByteReader(data[data.index(b"mdat") + 4 :])
     headers, frames = [], []
@@ -151,14 +149,13 @@ def _stripped(data: bytes) -> bytes:
         elif kind in (FRAME, FRAME_HEADER):
             frames.append(unit)
     units = (pack_varint(len(unit) - 1) + unit for unit in [*headers[:1], *frames])
-    return bytes([STRIPPED]) + data[config : config + CONFIG_BYTES] + b"".join(units)
+    return data[config : config + CONFIG_BYTES] + b"".join(units)
 
 
 def _completed(payload: bytes, count: int, width: int, height: int) -> bytes:
-    if payload[:1] != bytes([STRIPPED]):
-        raise CorruptStream("a run of pictures is of an unknown make; the stream is damaged")
-    config, (header, *frames) = payload[1 : 1 + CONFIG_BYTES], _bodies(payload[1 + CONFIG_BYTES :])
-    _check_sizes([_size(header)], width, height)
+    config, (header, *frames) = payload[:CONFIG_BYTES], _bodies(payload[CONFIG_BYTES:])
+    if _size(header) != (width, height):
+        raise CorruptStream(f"a run of pictures is not of {width}x{height} pixels as it must be; the stream is damaged")
     samples, units = [], [_unit(SEQUENCE_HEADER, header)]
     for frame in frames:
         units.append(_unit(FRAME_HEADER if frame[0] & SHOWS_EARLIER else FRAME, frame))
