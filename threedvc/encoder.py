@@ -69,7 +69,8 @@ SURE_LUMA = 2.0
 BRIDGED_S = 0.5
 """Frames without depth, found by their pictures, are put on the way between those about them if they are no longer."""
 WORTHWHILE_SHIFTS = 0.06
-"""Share of the misfit of the depth that poses of its own must save, for some three bytes a frame."""
+"""Share of the misfit of the depth that poses of its own surely are worth if they save it."""
+SHIFT_BYTES = 3
 LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.45, 0.65
 """Cells narrower than about two pixels are not tried, or three where colour and depth have rays of their own: a decoder
 would draw them slowly."""
@@ -376,7 +377,8 @@ class Encoder:
     def _align(self, frames: FrameSequence, on_frame: OnFrame | None) -> list[Pose] | None:
         """Move the camera to where pictures fit best; return the shifts of the colour pictures if there are to be any.
 
-        Poses that fit colour and depth serve both, unless the depth alone wants clearly other ones.
+        Poses that fit colour and depth serve both, unless the depth alone wants clearly other ones, or the pictures are
+        better for it.
         """
         rounds = self.config.appearance.rounds
         self._fuse_again(frames, on_frame, align(self.scene, frames, rounds))
@@ -392,13 +394,20 @@ class Encoder:
             before, misfit = misfit, depth_misfit(self.scene, frames)
             if misfit > WORTHWHILE_ROUND * before:
                 break
-        if misfit > (1 - WORTHWHILE_SHIFTS) * first:
-            self.scene, self.reports = together, reports
-            return None
         poses = zip(together.objects[0].poses, self.scene.objects[0].poses, self.scene.sensors, strict=True)
         there = [rig.at_sensor for rig in self.info.rigs]
         shifts = [compose(there[sensor](both), inverse(there[sensor](depth))) for both, depth, sensor in poses]
-        return align_pictures(self.scene, frames, shifts, rounds + MORE_ROUNDS)
+        sure = misfit <= (1 - WORTHWHILE_SHIFTS) * first
+        if sure or (misfit < first and self._is_better_apart(together, shifts, frames)):
+            return align_pictures(self.scene, frames, shifts, rounds + MORE_ROUNDS)
+        self.scene, self.reports = together, reports
+        return None
+
+    def _is_better_apart(self, together: Scene, shifts: Sequence[Pose], frames: FrameSequence) -> bool:
+        """Tell whether shifts, about right as yet, give better pictures than poses that serve colour and depth."""
+        room = self._cell_room or surface_bytes(together, self.config.color.luma_step)
+        apart = trial_error(self.scene, frames, shifts, max(room - SHIFT_BYTES * len(shifts), 0.5 * room))
+        return apart < trial_error(together, frames, None, room)
 
     @property
     def _cell_room(self) -> float | None:

@@ -36,6 +36,8 @@ TRIAL_FRAMES, TRIAL_PICTURES = 60, 8
 HOPELESS = -0.15
 """A gain this low of the smallest video speaks against all of them."""
 WORTHWHILE = 0.05
+ALIKE = 0.01
+"""Of choices whose gains differ by no more, the finest is taken: trials are coded less thoroughly."""
 MOST_OF_RATE = 0.6
 """Share of the bytes of a stream of given rate that a video may take."""
 ENDS_PERCENT = 0.1
@@ -142,8 +144,11 @@ class _Trial:
         for quality in OTHER_QUALITIES:
             choice = middle._replace(quality=quality)
             gains[choice] = self._gain(choice, stream, fixed)
-        best = max(gains, key=lambda each: gains[each])
-        return best if gains[best] > (-inf if sure else WORTHWHILE) else None
+        most = max(gains.values())
+        if most == -inf or not (sure or most > WORTHWHILE):
+            return None
+        alike = [choice for choice in gains if gains[choice] >= most - ALIKE]
+        return max(alike, key=lambda each: (each.columns * each.rows, each.quality))
 
     def _choice(self, scale: float) -> _Choice:
         height, width = self._measured[0].shape
