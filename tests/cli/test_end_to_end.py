@@ -11,6 +11,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from threedvc.cli.main import main
+from threedvc.coding.picture_sequence import can_encode_sequences
+from threedvc.formats.sources import open_sequence
 
 
 def run(*arguments: object) -> Result:
@@ -64,6 +66,31 @@ def test_a_stream_that_knows_no_objects(place: Path) -> None:
     (toy,) = values["reference_objects"]
     assert (toy["number"], toy["iou"], toy["pose"]) == (None, 0, None)
     assert (values["object_count"], values["spurious_objects"]) == (0, [])
+
+
+@pytest.mark.skipif(not can_encode_sequences(), reason="these builds of Pillow and OpenCV have no AVIF")
+def test_depth_is_shown_as_filmed_or_of_the_models(tmp_path: Path) -> None:
+    stream = tmp_path / "a.3dvc"
+    assert run("synth", tmp_path / "room", "--scene", "room", "--frames", "5", "--size", "96x72").exit_code == 0
+    options = ["--depth-video", "on", "--preset", "fast", "--voxel-size", "10cm", "--verify"]
+    assert run("encode", tmp_path / "room", stream, *options).exit_code == 0
+    assert json.loads(run("stats", stream, "--json").stdout)["packets"]["VIDEO"]["count"] == 1
+    shares = {}
+    for source in ("filmed", "models"):
+        folder = tmp_path / source
+        assert run("decode", stream, folder, "--depth", source).exit_code == 0
+        pairs = list(zip(open_sequence(folder), open_sequence(tmp_path / "room"), strict=True))
+        off = [np.abs(shown.depth - given.depth) / given.depth for shown, given in pairs]
+        shares[source] = float(np.mean(np.array(off) < 0.01))
+    assert shares["filmed"] > shares["models"] + 0.1
+
+
+def test_live_streams_have_no_depth_video(place: Path) -> None:
+    options = ["--depth-video", "on", "--preset", "live"]
+    result = CliRunner().invoke(main, ["encode", str(place / "toys"), str(place / "no.3dvc"), *options])
+    assert result.exit_code == 2
+    assert "--depth-video on and --preset live contradict each other" in result.stderr
+    assert not (place / "no.3dvc").exists()
 
 
 def test_trajectory_of_a_moving_camera(tmp_path: Path) -> None:

@@ -165,7 +165,7 @@ def without(packets: list[Packet]) -> list[Packet]:
 
 @with_video
 def test_a_file_takes_one_by_itself_where_it_is_worth_it() -> None:
-    sequence = wobbling(24, (160, 120))
+    sequence = wobbling(16, (128, 96))
     config = replace(CONFIG, depth_video=DepthVideo.AUTO, refine=True)
     assert video_of(list(Encoder(sequence.info, config).packets(sequence)))
 
