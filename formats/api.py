@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from threedvc.camera import CameraRig
 from threedvc.coding.gains import apply_gain
 from threedvc.config import EncoderConfig, RenderConfig
-from threedvc.decoder import Decoder, FrameState, rig_of
+from threedvc.decoder import Decoder, FrameState
 from threedvc.encoder import Encoder, verified
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import open_input, open_output
@@ -27,6 +27,7 @@ from threedvc.packets import Packet, PacketType, SensorHeader, StreamHeader
 from threedvc.pose import Pose, compose, inverse
 from threedvc.rendering import Picture, Renderer, RenderModel
 from threedvc.report import FrameReport
+from threedvc.sensor_state import rig_of
 
 __all__ = ["DecodedFrame", "DecodedStream", "EncodeReport", "decode", "encode", "errors_named", "open_stream"]
 

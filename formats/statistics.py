@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, BinaryIO, TypeAlias, cast
 
 from threedvc.camera import CameraRig
-from threedvc.decoder import Decoder, rig_of
+from threedvc.decoder import Decoder
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.api import DecodedFrame, DecodedStream, errors_named, open_stream
 from threedvc.formats.comparison import Comparison, check_comparable, paired
@@ -35,6 +35,7 @@ from threedvc.frame import NANOSECONDS, FrameSequence
 from threedvc.metrics import PaperAccounting
 from threedvc.packets import SensorHeader, StreamHeader
 from threedvc.pose import Pose, quaternion
+from threedvc.sensor_state import rig_of
 from threedvc.trajectory import TrajectoryError, Travel
 
 __all__ = [

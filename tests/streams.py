@@ -18,7 +18,7 @@ from threedvc.coding.gains import apply_gain
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import RenderConfig
-from threedvc.decoder import Decoder, models_digest, rig_of
+from threedvc.decoder import Decoder, models_digest
 from threedvc.formats.container import StreamReader, StreamWriter
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.model_update import ModelUpdate
@@ -37,6 +37,7 @@ from threedvc.packets import (
 from threedvc.pose import Pose, make_pose
 from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
+from threedvc.sensor_state import rig_of
 
 __all__ = [
     "FRAMES",

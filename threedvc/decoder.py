@@ -8,17 +8,15 @@ nothing.
 from __future__ import annotations
 
 import hashlib
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
+from threedvc.camera import CameraRig
 from threedvc.coding.depth_picture import decode_depths
 from threedvc.coding.filters import decode_filter
-from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.light import unpack_light
 from threedvc.coding.picture import decode_picture
 from threedvc.coding.picture_sequence import decode_sequence
@@ -28,7 +26,7 @@ from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.depth_cells import spread
 from threedvc.depth_video import FilmedDepth, depth_levels
-from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, TruncatedStream
+from threedvc.errors import CorruptStream, LimitExceeded, TruncatedStream
 from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
@@ -59,13 +57,14 @@ from threedvc.packets import (
     unpack_batch,
 )
 from threedvc.picture_filter import PictureFilter
-from threedvc.pose import Pose, compose, identity, inverse, make_pose
+from threedvc.pose import Pose, compose, identity, inverse
 from threedvc.rendering import Backdrop, Light
 from threedvc.report import StreamReport, unpack_report
+from threedvc.sensor_state import FrameRun, SensorState
 from threedvc.turns import Turns, unpack_cycle
 from threedvc.wire import ByteReader
 
-__all__ = ["Decoder", "FrameState", "camera_poses", "models_digest", "nearest_multiple", "rig_of"]
+__all__ = ["Decoder", "FrameState", "camera_poses", "models_digest"]
 
 DIGEST_BYTES = 16
 IN_BATCHES = frozenset(
@@ -151,45 +150,6 @@ def models_digest(models: Mapping[int, DecodedModel]) -> bytes:
     return state.digest()[:DIGEST_BYTES]
 
 
-def rig_of(header: StreamHeader | SensorHeader) -> CameraRig:
-    """Return the cameras of a stream's first sensor, or of a further one.
-
-    Raises
-    ------
-    CorruptStream
-        If they are impossible.
-    """
-    try:
-        color = _camera(header.color_camera)
-        depth = _camera(header.depth_camera) if header.depth_camera else color
-        mount = header.T_depth_base if isinstance(header, SensorHeader) else ()
-        return CameraRig(
-            color=color, depth=depth, T_color_depth=_transform(header.T_color_depth), T_depth_base=_transform(mount)
-        )
-    except ConfigError as error:
-        raise CorruptStream(f"{header.packet_type.name} header: {error}") from None
-
-
-def _transform(rows: tuple[float, ...]) -> Pose:
-    """Return the transform of three rows, row by row; the identity if there are none."""
-    if not rows:
-        return identity()
-    matrix = np.array(rows, dtype=np.float64).reshape(3, 4)
-    return make_pose(matrix[:, :3], matrix[:, 3])
-
-
-def nearest_multiple(frame: int, period_num: int, period_den: int) -> int:
-    """Return ``frame * period_num / period_den`` rounded to the nearest integer, halves up."""
-    return (2 * frame * period_num + period_den) // (2 * period_den)
-
-
-def _camera(values: tuple[float, ...]) -> Camera:
-    width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3 = values
-    return Camera(
-        width=int(width), height=int(height), fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2, k3)
-    )  # fmt: skip
-
-
 def _check_pictures(members: Iterable[Packet]) -> None:
     videos = (VideoHeader.from_map(member.header) for member in members if member.type == PacketType.VIDEO)
     samples = sum(video.count * video.columns * video.rows for video in videos)
@@ -206,63 +166,6 @@ def _check_pose_count(members: Iterable[Packet]) -> None:
     poses = sum(headers[member.type].from_map(member.header).count for member in members if member.type in headers)
     if poses > MAX_COUNT:
         raise LimitExceeded(f"a BATCH holds {poses} poses, shifts and gains, at most {MAX_COUNT} are accepted")
-
-
-class _Device:
-    """What the decoder has of one sensor.
-
-    Attributes
-    ----------
-    header, rig
-        Its description.
-    frames
-        How many frames it has taken so far.
-    shift, gain, correction_ns, filmed
-        Of the next frame that it takes.
-    """
-
-    def __init__(self, header: StreamHeader | SensorHeader, steps: tuple[float, float]) -> None:
-        self.header, self.rig = header, rig_of(header)
-        self.frames = 0
-        self.shift, self.shifts = identity(), PoseCoder(*steps)
-        self.gain, self.gains = NEUTRAL, GainCoder(header.grey)
-        self.correction_ns = 0
-        self.filmed: FilmedDepth | None = None
-
-    def next_time(self) -> int:
-        """Return the time of its next frame."""
-        header = self.header
-        nominal = header.start_ns + nearest_multiple(self.frames, header.period_num, header.period_den)
-        time, self.correction_ns = nominal + self.correction_ns, 0
-        return time
-
-    def next_filmed(self) -> FilmedDepth | None:
-        """Return the depth of its next frame, if there is a video of it."""
-        filmed, self.filmed = self.filmed, None
-        return filmed
-
-
-class _Run:
-    """Frames of one BATCH that runs count: those of one sensor, or the first ones of all moments.
-
-    Parameters
-    ----------
-    before
-        How many such frames there were before the BATCH.
-    frames
-        Those in it.
-    """
-
-    def __init__(self, before: int, frames: Sequence[int]) -> None:
-        self._before, self._frames = before, frames
-
-    def of(self, header: RunHeader) -> tuple[int, Sequence[int]] | None:
-        """Return the number of the first frame of a header, and all its frames; None if they are not there."""
-        place = bisect_left(self._frames, header.frame)
-        frames = self._frames[place : place + header.count]
-        if len(frames) < header.count or frames[0] != header.frame:
-            return None
-        return self._before + place, frames
 
 
 class Decoder:
@@ -299,11 +202,11 @@ class Decoder:
         self._coders: dict[int, PoseCoder] = {}
         self._due: dict[str, int] = {}
         self._scripts: dict[int, Pose] = {}
-        self._devices: list[_Device] = []
+        self._devices: list[SensorState] = []
         self._turns = Turns()
         self._moments = 0
-        self._own_runs: list[_Run] = []
-        self._moment_run = _Run(0, [])
+        self._own_runs: list[FrameRun] = []
+        self._moment_run = FrameRun(0, [])
         self._span = 0, 0
         self._lights: dict[int, NDArray[np.float64]] = {}
         self._backdrop: Backdrop | None = None
@@ -353,7 +256,7 @@ class Decoder:
             raise CorruptStream("the stream has two STREAM packets")
         check_supported(header)
         self.header = header
-        self._devices = [_Device(header, self._steps)]
+        self._devices = [SensorState(header, self._steps)]
 
     @property
     def _steps(self) -> tuple[float, float]:
@@ -366,7 +269,7 @@ class Decoder:
         if len(self._devices) == self.header.sensors:
             raise CorruptStream(f"a SENSOR comes after those of all {self.header.sensors} sensors")
         self.sensors.append(header)
-        self._devices.append(_Device(header, self._steps))
+        self._devices.append(SensorState(header, self._steps))
 
     def _check_sensors(self) -> None:
         assert self.header is not None
@@ -415,7 +318,7 @@ class Decoder:
                     raise self._elsewhere(frame)
                 orders[frame] = unpack_cycle(member.payload, len(self._devices))
         if len(self._devices) == 1 and not orders:
-            self._own_runs = [_Run(first, range(first, stop))]
+            self._own_runs = [FrameRun(first, range(first, stop))]
             self._moment_run = self._own_runs[0]
             return
         own: list[list[int]] = [[] for _ in self._devices]
@@ -428,8 +331,8 @@ class Decoder:
             own[turn.sensor].append(frame)
             if not turn.together or not frame:
                 moments.append(frame)
-        self._own_runs = [_Run(device.frames, frames) for device, frames in zip(self._devices, own, strict=True)]
-        self._moment_run = _Run(self._moments, moments)
+        self._own_runs = [FrameRun(device.frames, frames) for device, frames in zip(self._devices, own, strict=True)]
+        self._moment_run = FrameRun(self._moments, moments)
 
     def _actions(self, packet: Packet) -> Iterator[tuple[int, Callable[[], None]]]:
         """Yield what a packet does, and before which frame; pose payloads are decoded at once."""
@@ -526,7 +429,7 @@ class Decoder:
             raise CorruptStream(f"a TEXTURE of object {number} comes when all its cells have one")
         model.texture.paint(texels, decode_texture(payload, model, texels))
 
-    def _device(self, name: str, header: SensorRunHeader) -> _Device:
+    def _device(self, name: str, header: SensorRunHeader) -> SensorState:
         if header.sensor >= len(self._devices):
             raise CorruptStream(f"a {name} names sensor {header.sensor}, but the stream has {len(self._devices)}")
         return self._devices[header.sensor]

@@ -26,7 +26,7 @@ from threedvc.coding.relief import encode_relief
 from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
-from threedvc.decoder import models_digest, nearest_multiple
+from threedvc.decoder import models_digest
 from threedvc.finishing import Finish
 from threedvc.focus import finer, focused
 from threedvc.frame import NANOSECONDS
@@ -63,6 +63,7 @@ from threedvc.rendering import Renderer, RenderModel
 from threedvc.report import FrameReport, report_packet
 from threedvc.scene import Scene, SceneObject
 from threedvc.selection import best_part
+from threedvc.sensor_state import nearest_multiple
 from threedvc.trials import color_settings, one_shot
 from threedvc.turns import Turn, Turns, pack_cycle, shortest_cycle
 from threedvc.wire import pack_signed_varint

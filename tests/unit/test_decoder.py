@@ -18,7 +18,7 @@ from threedvc.camera import Camera
 from threedvc.coding.color import ColorSettings
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
-from threedvc.decoder import Decoder, FrameState, camera_poses, models_digest, nearest_multiple, rig_of
+from threedvc.decoder import Decoder, FrameState, camera_poses, models_digest
 from threedvc.errors import CorruptStream, FormatError, LimitExceeded, TruncatedStream, UnsupportedVersion
 from threedvc.limits import MAX_COUNT, MAX_FRAME
 from threedvc.model_update import ModelUpdate
@@ -36,6 +36,7 @@ from threedvc.packets import (
 )
 from threedvc.pose import Pose, compose, inverse, make_pose, rotation_from_vector
 from threedvc.report import FrameReport, report_packet
+from threedvc.sensor_state import nearest_multiple, rig_of
 from threedvc.wire import pack_signed_varint
 
 STEP = 0.001

@@ -14,7 +14,7 @@ import pytest
 from streams import ListSequence
 from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.decoder import Decoder, FrameState, models_digest, nearest_multiple
+from threedvc.decoder import Decoder, FrameState, models_digest
 from threedvc.encoder import Encoder, verified
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.frame import Frame
@@ -32,6 +32,7 @@ from threedvc.pose import compose, inverse, make_pose, rotation_angle
 from threedvc.rate_control import stream_bytes
 from threedvc.readout import read_surface
 from threedvc.report import FrameReport
+from threedvc.sensor_state import nearest_multiple
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)

@@ -28,7 +28,7 @@ from threedvc.config import (
     with_preset,
     with_quality,
 )
-from threedvc.decoder import Decoder, rig_of
+from threedvc.decoder import Decoder
 from threedvc.encoder import Encoder
 from threedvc.finishing import finish
 from threedvc.formats.container import StreamWriter
@@ -37,6 +37,7 @@ from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_
 from threedvc.rate_control import stream_bytes
 from threedvc.readout import read_surface
 from threedvc.rendering import Renderer, RenderModel
+from threedvc.sensor_state import rig_of
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
