@@ -56,7 +56,7 @@ FILE_GROUP_S = 2
 TRIAL_FRAMES = 100
 DEPTH_ROUNDS = 3
 WORTHWHILE_ROUND = 0.98
-MORE_ROUNDS = 2
+MORE_ROUNDS = 6
 """Rounds that shifts of pictures take beyond those of common poses: they converge slowly."""
 TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.15, rest_pixels=0.01, move_pixels=0.01)
 """Registration with the depth: luma counts little, but where the depth leaves a direction open. It refines poses that
