@@ -26,7 +26,7 @@ from threedvc.filtering import FILTER_BYTES, fitted_filter
 from threedvc.finishing import Finish, align, align_pictures, finish, trial_error
 from threedvc.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence, moments, spread_step
 from threedvc.loop_closure import closed_loops
-from threedvc.motion import Located, bridged, joined_parts
+from threedvc.motion import Located, along_with_the_room, bridged, joined_parts
 from threedvc.mounting import mounted_info
 from threedvc.packets import Packet, PacketType
 from threedvc.picture_filter import PictureFilter
@@ -469,6 +469,8 @@ class Encoder:
     def _fuse_again(
         self, frames: FrameSequence, on_frame: OnFrame | None, script: Mapping[int, Sequence[Located | None]]
     ) -> None:
+        before = {number: item.found for number, item in self.scene.objects.items()}
+        script = along_with_the_room(script, before)
         self.scene = Scene(self.scene.info, self.config, script, self.scene.division)
         self._fuse_all(frames, on_frame)
 

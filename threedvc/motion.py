@@ -32,6 +32,7 @@ __all__ = [
     "Script",
     "Sight",
     "Tracker",
+    "along_with_the_room",
     "bridged",
     "joined_parts",
     "known_pose",
@@ -60,8 +61,12 @@ SAME_TURN_RAD, SAME_SHIFT = 0.1, 0.1
 SLOWED = 0.5
 """Share of its motion with which an object is thought to go on if nothing determined some direction of it: else what
 noise made of it would go on for ever."""
+SAME_PLACE = 0.015
+LEAST_ALIKE, MOST_ALIKE = 20, 0.7
+"""An object rests where so many pixels at least, and this part of them, differ by less than that of their depth."""
 COAST_FRAMES = 5
 """A lost object goes on as it went for so many frames, then stays."""
+SAME_REST = 1e-9
 UNSEEN = "unseen"
 """Status of an object that is not in sight, at the pose it is taken to have."""
 
@@ -239,6 +244,7 @@ class Tracker:
         self._last: dict[int, _Remembered] = {}
         self._sensors: dict[int, int] = {}
         self._way: list[tuple[int, Pose]] = []
+        self._in_room = False
 
     def start(self, views: FrameViews, mask: NDArray[np.bool_], number: int, *rigs: CameraRig) -> Located:
         """Place the object's own frame: the camera's for the background, else the middle of what is seen.
@@ -272,12 +278,15 @@ class Tracker:
     def locate_together(self, sights: Sequence[Sight], model: EvidenceModel, *, near: bool = False) -> Located:
         """Register the frames of one moment, at least one, as `locate` does."""
         last, frame = self._poses[-1], sights[0].views.frame
+        carried, self._in_room = self._in_room, False
         guess = self._guess(frame)
         views = [self._view(sight, model, last) for sight in sights]
         found = self._registered(sights, views, guess, near=near)
         status = found.status
         if status is Status.LOST and self._carried(frame) and not any(map(_shows, sights, views)):
             return self._along(sights)
+        if status is Status.LOST and carried and self._stays(sights, model, last):
+            return self._stay(sights, last)
         if status is Status.LOST or (status is Status.WEAK and found.agreement < DOUBTFUL * self._usual):
             again = self._found_again(sights, model)
             if again is not None and again.agreement > found.agreement * (status is not Status.LOST):
@@ -325,6 +334,29 @@ class Tracker:
         pose = last if end == start else interpolated(first, last, 1 + ahead / (end - start))
         for views, mask in sights:
             self._remember(views, mask, pose)
+        return Located(T_camera_object=pose, status=Status.WEAK, part=self._part)
+
+    def _stays(self, sights: Sequence[Sight], model: EvidenceModel, pose: Pose) -> bool:
+        """Tell whether nothing speaks against a place: the depth is as shown there, or the model knows little."""
+        seen = known = alike = 0
+        for frame_views, mask in sights:
+            form = frame_views.form(mask)
+            shown = cast_view(model, form, frame_views.rig.at_sensor(pose), self._threads).depth
+            measured = np.where(form.thin(mask), form.thin(frame_views.frame.depth), np.float32(0))
+            both = (shown > 0) & (measured > 0)
+            seen, known = seen + int(np.count_nonzero(measured)), known + int(np.count_nonzero(both))
+            alike += int(np.count_nonzero(np.abs(shown - measured)[both] < SAME_PLACE * measured[both]))
+        if known < LEAST_KNOWN * seen:
+            return not self._lost
+        return known >= LEAST_ALIKE and alike >= MOST_ALIKE * known
+
+    def _stay(self, sights: Sequence[Sight], pose: Pose) -> Located:
+        """Take the object to rest in the room, although its frames alone do not tell where it is."""
+        self._lost = 0
+        self._go([pose], sights[0].views.frame)
+        for sight in sights:
+            self._remember(*sight)
+        self._found(sights[0].views.frame, pose)
         return Located(T_camera_object=pose, status=Status.WEAK, part=self._part)
 
     def locate_by_picture(self, views: FrameViews) -> Located:
@@ -455,6 +487,12 @@ class Tracker:
         self._poses, self._resting, self._last = [T_camera_object], False, {}
         self._times = self._times[-1:]
 
+    def carry(self, motion: Pose) -> None:
+        """Take the object along as the room moved before the base: it is thought to stay, or to go on, there."""
+        self._in_room = True
+        self._poses = [motion @ pose for pose in self._poses]
+        self._way = [(time, motion @ pose) for time, pose in self._way]
+
     def _remember(self, views: FrameViews, mask: NDArray[np.bool_], pose: Pose | None = None) -> None:
         """Keep how the object looks to a sensor at a pose, by default the present one."""
         form = views.form(mask)
@@ -566,6 +604,41 @@ def refined(
     if not moved:
         return at
     return replace(at, T_camera_object=_joined(witnesses).T_camera_object)
+
+
+def along_with_the_room(script: Mapping[int, Sequence[Located | None]], before: Script) -> Script:
+    """Let tracked objects that rested in the background rest there in a new script, too.
+
+    Parameters
+    ----------
+    script
+        Where everything is in every frame; the background may have other poses than before.
+    before
+        The same as of the pass before.
+    """
+    result: Script = {number: list(found) for number, found in script.items()}
+    old, new = before.get(0, []), result.get(0, [])
+    for number in result.keys() & before.keys() - {0}:
+        found, earlier = result[number], before[number]
+        for frame in range(1, min(len(found), len(earlier), len(old), len(new))):
+            was, then = _moved(old, frame), _moved(new, frame)
+            at, last, then_last = earlier[frame], earlier[frame - 1], found[frame - 1]
+            here = found[frame]
+            if was is None or then is None or at is None or last is None or here is None or then_last is None:
+                continue
+            if at.status != "known" and np.abs(was @ last.T_camera_object - at.T_camera_object).max() < SAME_REST:
+                found[frame] = replace(here, T_camera_object=then @ then_last.T_camera_object)
+    return result
+
+
+def _moved(found: Sequence[Located | None], frame: int) -> Pose | None:
+    """Return how an object moved to a frame from the one before; None where that is not known."""
+    last, now = found[frame - 1], found[frame]
+    if last is None or now is None:
+        return None
+    if np.array_equal(last.T_camera_object, now.T_camera_object):
+        return identity()
+    return now.T_camera_object @ inverse(last.T_camera_object)
 
 
 def pose_between(found: Sequence[Located | None], frame: int) -> Pose:

@@ -346,10 +346,19 @@ class Scene:
     def _located(self, item: SceneObject, sights: Sequence[Sight]) -> Located | None:
         """Find an object in the frames of a moment.
 
-        One found by its motion that is out of sight stays in the background where it was, or is gone.
+        It is looked for where it went on in the background, not before the camera. One found by its motion that is out
+        of sight stays in the background where it was, or is gone.
         """
+        motion = self._room_motion(sights[0].views.frame.index) if item.number and item.born is not None else None
+        if motion is not None and item.tracker is not None:
+            item.tracker.carry(motion)
         if self.division is None or not item.number or (item.born is None and not item.passing):
-            return item.locate(sights, self.info.rigs, self._one_object)
+            at = item.locate(sights, self.info.rigs, self._one_object)
+            return (
+                at
+                if at is not None or motion is None
+                else Located(T_camera_object=motion @ item.poses[-1], status=UNSEEN)
+            )
         views = sights[0].views
         if item.passing:
             return self._passing(item, views.frame)
@@ -369,6 +378,14 @@ class Scene:
         if gone and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
             T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
         return Located(T_camera_object=T_camera_object, status=UNSEEN)
+
+    def _room_motion(self, frame: int) -> Pose | None:
+        """Return how the background moved before the base since the moment before a frame; None if it did not."""
+        background = self.objects.get(0)
+        if background is None or background.born is None or not 0 < frame < len(background.poses):
+            return None
+        before, now = background.poses[frame - 1], background.poses[frame]
+        return None if np.array_equal(before, now) else now @ inverse(before)
 
     def _passing(self, item: SceneObject, frame: Frame) -> Located:
         """Place what is there for a moment, apart from what had its number before; away where there is nothing."""
