@@ -106,6 +106,7 @@ def state(index: int, T_world_camera: Pose, T_world_object: Mapping[int, Pose]) 
         backdrop=None,
         lights={},
         filters=None,
+        filmed=None,
     )
 
 
