@@ -204,18 +204,19 @@ class Encoder:
         choices = self._rated(finished, FILTER_BYTES)
         packets = self._everything(finished, *choices)
         videos = self._videos(packets, frames)
-        if videos and self._target_bytes is not None:
-            fewer = self._rated(finished, FILTER_BYTES, videos)
-            rest = self._everything(finished, *fewer)
-            if stream_bytes([*rest, *videos]) > self._target_bytes:
-                videos = []
+        target = self._target_bytes
+        if videos:
+            with_videos = self._rated(finished, FILTER_BYTES, videos)
+            filmed = self._everything(finished, *with_videos, None, videos)
+            if target is None or stream_bytes(filmed) <= target:
+                choices, packets = with_videos, filmed
             else:
-                choices, packets = fewer, rest
-        plain_bytes = stream_bytes([*packets, *videos])
+                videos = []
+        plain_bytes = stream_bytes(packets)
         filters = fitted_filter(packets, frames, self.config.threads)
-        if filters is not None or videos:
+        if filters is not None:
             packets = self._everything(finished, *choices, filters, videos)
-        target, took = self._target_bytes, stream_bytes(packets) - plain_bytes
+        took = stream_bytes(packets) - plain_bytes
         if target is None or plain_bytes > target - FILTER_BYTES:
             return packets
         if took > FILTER_BYTES or FILTER_BYTES - took > (1 - CLOSE) * target:

@@ -145,6 +145,16 @@ def test_a_rate_is_met_with_a_video() -> None:
 
 
 @with_video
+def test_a_rate_is_met_with_many_videos() -> None:
+    sequence = wobbling(FRAMES)
+    rate = 250_000.0
+    encoder = Encoder(sequence.info, replace(CONFIG, bitrate_bps=rate, group_frames=2))
+    packets = list(encoder.packets(sequence))
+    assert len(video_of(packets)) == FRAMES // 2
+    assert stream_bytes(packets) <= rate * FRAMES / sequence.info.fps / 8
+
+
+@with_video
 def test_a_rate_that_leaves_no_room_is_kept_without() -> None:
     sequence = wobbling(FRAMES)
     target = 20_000.0 * FRAMES / sequence.info.fps / 8
