@@ -18,7 +18,7 @@ from threedvc.pose import Pose
 from threedvc.ray_grid import RayGrid, cells_from_camera
 from threedvc.registration import ModelView
 
-__all__ = ["FrameViews", "Thinned", "cast_view"]
+__all__ = ["FrameViews", "Thinned", "cast_view", "shown_and_measured"]
 
 TRACKING_PIXELS = 120_000
 SMALL_OBJECT_PIXELS = 60_000
@@ -167,3 +167,21 @@ def cast_view(
         normals=normals.reshape(*shape, 3),
         intensity=intensity.reshape(shape),
     )
+
+
+def shown_and_measured(
+    model: EvidenceModel,
+    views: FrameViews,
+    mask: NDArray[np.bool_],
+    T_camera_object: Pose,
+    threads: int,
+    *,
+    exact: bool = False,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the depths in metres that the evidence shows at a pose, and what a frame measured within `mask` (h, w).
+
+    Both are of the form that suits the mask; 0 = nothing.
+    """
+    form = views.form(mask)
+    shown = cast_view(model, form, T_camera_object, threads, exact=exact).depth
+    return shown, np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))

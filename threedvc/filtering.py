@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from threedvc.coding.filters import MAX_FACTOR
 from threedvc.coding.gains import apply_gain
-from threedvc.config import RenderConfig
-from threedvc.decoder import Decoder, FrameState
+from threedvc.decoder import FrameState
 from threedvc.frame import FrameSequence, spread_step
 from threedvc.kernels.picture_filter import add_filter_equations
-from threedvc.packets import Packet
+from threedvc.packets import Packet, StreamHeader
 from threedvc.parallel import for_ranges
 from threedvc.picture_filter import KINDS, PAIRS, PictureFilter, planes_of
+from threedvc.playback import played
 from threedvc.rate_control import SHARE_PER_BYTE
 from threedvc.rendering import Renderer, RenderModel
 
@@ -50,22 +50,15 @@ def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int
         With filters for the kinds of pixels where they save more than they take; None: for none.
     """
     equations = _Equations(threads)
-    decoder, models = Decoder(filmed=False), dict[int, RenderModel]()
-    renderers: dict[int, Renderer] = {}
     every = spread_step(len(frames), FILTER_FRAMES, frames.info)
-    for state in decoder.frames(packets):
-        if state.index % every or not state.T_camera_object:
-            continue
-        if state.sensor not in renderers:
-            renderers[state.sensor] = Renderer(decoder.rigs[state.sensor], RenderConfig(threads=threads))
-        for number in state.T_camera_object:
-            if number not in models:
-                models[number] = RenderModel(decoder.models[number])
-            models[number].refresh(threads)
-        equations.add(renderers[state.sensor], models, state, frames[state.index].color)
-    assert decoder.header is not None
+
+    def wanted(state: FrameState) -> bool:
+        return state.index % every == 0 and bool(state.T_camera_object)
+
+    for state, renderer, models in played(packets, threads, wanted):
+        equations.add(renderer, models, state, frames[state.index].color)
     total = sum(len(packet.payload) for packet in packets)
-    return equations.solved(SHARE_PER_BYTE / total, decoder.header.grey)
+    return equations.solved(SHARE_PER_BYTE / total, StreamHeader.from_map(packets[0].header).grey)
 
 
 class _Equations:

@@ -14,7 +14,7 @@ from threedvc.alignment import Alignment
 from threedvc.camera import Camera, CameraRig
 from threedvc.config import Motion
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import FrameViews, cast_view
+from threedvc.evidence_view import FrameViews, cast_view, shown_and_measured
 from threedvc.frame import NANOSECONDS, Frame, SequenceInfo
 from threedvc.joint_pose import PoseWitness, joint_pose
 from threedvc.keyframes import Keyframes
@@ -340,9 +340,8 @@ class Tracker:
         """Tell whether nothing speaks against a place: the depth is as shown there, or the model knows little."""
         seen = known = alike = 0
         for frame_views, mask in sights:
-            form = frame_views.form(mask)
-            shown = cast_view(model, form, frame_views.rig.at_sensor(pose), self._threads).depth
-            measured = np.where(form.thin(mask), form.thin(frame_views.frame.depth), np.float32(0))
+            there = frame_views.rig.at_sensor(pose)
+            shown, measured = shown_and_measured(model, frame_views, mask, there, self._threads)
             both = (shown > 0) & (measured > 0)
             seen, known = seen + int(np.count_nonzero(measured)), known + int(np.count_nonzero(both))
             alike += int(np.count_nonzero(np.abs(shown - measured)[both] < SAME_PLACE * measured[both]))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from threedvc.calibration import calibrate, sighting
 from threedvc.config import Sensor
-from threedvc.evidence_view import cast_view
+from threedvc.evidence_view import shown_and_measured
 from threedvc.frame import FrameSequence, SequenceInfo, moments, spread_step
 from threedvc.motion import UNSEEN, Located, Script, Sight, pose_between, refined, refound
 from threedvc.readout import read_surface
@@ -121,10 +121,9 @@ def _background_depths(
             continue
         frame = scene.limited(frames[index])
         mask = scene.labels(frame) == 0
-        form = scene.views(frame).form(mask)
-        T_camera_object = form.rig.at_sensor(at.T_camera_object)
-        view = cast_view(item.evidence, form, T_camera_object, scene.config.threads, exact=True)
-        yield index, view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))
+        views = scene.views(frame)
+        there = views.rig.at_sensor(at.T_camera_object)
+        yield index, *shown_and_measured(item.evidence, views, mask, there, scene.config.threads, exact=True)
 
 
 def _refined(

@@ -15,7 +15,7 @@ from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.division import NOTHING, PASSING_NUMBERS, Division
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import FrameViews, Thinned, cast_view
+from threedvc.evidence_view import FrameViews, Thinned, cast_view, shown_and_measured
 from threedvc.exposure import camera_gain, with_gain
 from threedvc.frame import Frame, SequenceInfo, check_frame
 from threedvc.fusion import Observation, fuse, observe
@@ -296,10 +296,8 @@ class Scene:
         named = self.config.sensor_of(number) is not Sensor.AUTO
         if named or meter.frames == METERED_FRAMES or not item.evidence.index.count:
             return
-        form = look.views.form(mask)
-        view = cast_view(item.evidence, form, T_camera_object, self.config.threads)
-        measured = np.where(form.thin(mask), form.thin(look.views.frame.depth), np.float32(0))
-        meter.add(view.depth, measured, item.evidence.voxel_size_m)
+        pictures = shown_and_measured(item.evidence, look.views, mask, T_camera_object, self.config.threads)
+        meter.add(*pictures, item.evidence.voxel_size_m)
         better = meter.better_than(self._noise[number]) if meter.frames == METERED_FRAMES else None
         if better is not None:
             self._noise[number] = SENSORS[better]

@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.picture_sequence import can_encode_sequences, decode_sequence, encode_sequence
-from threedvc.config import RenderConfig
-from threedvc.decoder import Decoder
 from threedvc.depth_video import LEVELS, FilmedDepth, depth_levels
 from threedvc.frame import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
 from threedvc.packets import Packet, VideoHeader
+from threedvc.playback import played
 from threedvc.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stream_bytes
 from threedvc.refinement import mean_misfit
-from threedvc.rendering import Renderer, RenderModel, fill_unknown
+from threedvc.rendering import fill_unknown
 from threedvc.scene import Scene
 
 __all__ = ["worthwhile_videos"]
@@ -231,21 +230,10 @@ def _drawn(
     packets: Sequence[Packet], numbers: Sequence[int], threads: int
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Yield the depth (h, w) that packets draw of some frames of one sensor, with their numbers, which rise."""
-    decoder, models = Decoder(filmed=False), dict[int, RenderModel]()
-    wanted = iter([*numbers, -1])
-    due = next(wanted)
-    renderer: Renderer | None = None
-    for state in decoder.frames(packets):
-        if state.index != due:
-            continue
-        renderer = renderer or Renderer(decoder.rigs[state.sensor], RenderConfig(threads=threads))
-        for number in state.T_camera_object:
-            if number not in models:
-                models[number] = RenderModel(decoder.models[number])
-            models[number].refresh(threads)
+    wanted = set(numbers)
+    for state, renderer, models in played(packets, threads, lambda state: state.index in wanted):
         yield state.index, renderer.draw(models, state.T_camera_object, color=False).depth
-        due = next(wanted)
-        if due < 0:
+        if state.index == numbers[-1]:
             return
 
 
