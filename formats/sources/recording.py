@@ -12,6 +12,7 @@ from pathlib import Path
 
 from threedvc.camera import CameraRig
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.notices import Notice
 from threedvc.pose import Pose
 
 __all__ = [
@@ -86,6 +87,8 @@ class Recording:
         Raw depth value that means "no measurement" besides 0, or None.
     T_base_depth
         Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told.
+    notices
+        Decisions of the reader that the user should know.
     """
 
     folder: Path
@@ -95,6 +98,7 @@ class Recording:
     fps: float
     invalid_depth: int | None = None
     T_base_depth: Pose | None = None
+    notices: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

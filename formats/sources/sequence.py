@@ -17,6 +17,7 @@ from threedvc.camera import Camera
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.formats.sources.images import PictureHeader, read_color, read_depth, read_header, read_mask
 from threedvc.formats.sources.intrinsics import REMEDY
+from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.pose import Pose
@@ -56,6 +57,7 @@ class FolderSequence:
         self._recording = recording
         self._max_depth_m = max_depth_m
         self._read_ahead = read_ahead
+        self._notices = list(recording.notices)
         frames = recording.frames
         channels = _check_headers(recording)
         self._check_depth()
@@ -75,6 +77,11 @@ class FolderSequence:
     def info(self) -> SequenceInfo:
         """What holds for every frame; camera poses count only where every frame has one, masks where the first has."""
         return self._info
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What was decided while the recording was opened, in that order."""
+        return tuple(self._notices)
 
     @property
     def T_base_depth(self) -> Pose | None:
