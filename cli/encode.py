@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,7 @@ STANDARD_OUTPUT = Path("-")
 LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare")
 PRESETS = ("live", "fast", "medium", "slow")
 SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
-OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps")
+OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "poses")
 
 
 @click.command(short_help="Encode a folder of RGB-D frames.")
@@ -55,6 +55,10 @@ OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps"
 @click.option("--depth-scale", type=positive_number, metavar="N", multiple=True,
               help="Units of depth pictures per metre.")  # fmt: skip
 @click.option("--fps", type=positive_number, metavar="N", multiple=True, help="Frame rate of INPUT.")
+@click.option("--poses", metavar="READING", multiple=True,
+              help="What the camera poses of INPUT are: as-given, inverted (world-to-camera), opengl (y up, z back), "
+              "w-first (quaternions w x y z), millimetres, centimetres, body (x forward, z up), left-handed; or "
+              "several joined by +.")  # fmt: skip
 @click.option("--max-depth", type=length, metavar="LENGTH", help="Ignore measurements beyond.")
 @click.option("--frames", type=frame_range, metavar="A:B[:S]", help="Encode frames A to B-1, every S-th.")
 @click.option("--voxel-size", type=length, metavar="LENGTH", help="Edge of a cell.  [default: from the first frame]")
@@ -109,6 +113,7 @@ def encode(
             config,
             verify=verify,
             on_frame=lambda frame: progress.advance(frame.index + 1, frame.bytes_so_far),
+            on_notice=lambda notice: click.echo(notice, err=True),
         )
         progress.summary(_summary(report, output))
     if as_json:
@@ -181,4 +186,5 @@ def _as_map(report: EncodeReport) -> dict[str, Any]:
         "voxel_size_m": report.voxel_size_m,
         "lost_frames": list(report.lost_frames),
         "digest": report.digest.hex(),
+        "notices": [asdict(notice) for notice in report.notices],
     }

@@ -21,7 +21,9 @@ from threedvc.decoder import Decoder, FrameState
 from threedvc.encoder import Encoder, verified
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import open_input, open_output
+from threedvc.formats.pose_check import settle_poses
 from threedvc.formats.sources import open_sequence
+from threedvc.formats.sources.notices import Notice, notices_of
 from threedvc.frame import NANOSECONDS, FrameSequence, SequenceInfo
 from threedvc.packets import Packet, PacketType, SensorHeader, StreamHeader
 from threedvc.pose import Pose, compose, inverse
@@ -48,6 +50,8 @@ class EncodeReport(Sequence[FrameReport]):
         Cell of the first object.
     digest
         Digest of the decoded models.
+    notices
+        What was decided about the recording, and doubts.
     """
 
     reports: tuple[FrameReport, ...]
@@ -56,6 +60,7 @@ class EncodeReport(Sequence[FrameReport]):
     seconds: float
     voxel_size_m: float
     digest: bytes
+    notices: tuple[Notice, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -85,6 +90,7 @@ def encode(
     *,
     verify: bool = False,
     on_frame: Callable[[FrameReport], None] | None = None,
+    on_notice: Callable[[Notice], None] | None = None,
 ) -> EncodeReport:
     """Encode a sequence of RGB-D frames.
 
@@ -100,6 +106,8 @@ def encode(
         Decode what is written, and fail if the decoder arrives at another model.
     on_frame
         Called after each frame is fused.
+    on_notice
+        Called with each decision about the recording and each doubt, before the first frame is fused.
 
     Returns
     -------
@@ -109,14 +117,19 @@ def encode(
     Raises
     ------
     SequenceError
-        If the input is missing or implausible.
+        If the input is missing or implausible, or its poses are asked for and contradict its depth.
     OutputError
         If the output cannot be written.
     """
     sequence = open_sequence(source) if isinstance(source, str | os.PathLike) else source
-    info = sequence.info
     began = time.perf_counter()
-    encoder = Encoder(info, config)
+    settled = settle_poses(sequence, config or EncoderConfig())
+    notices = (*notices_of(sequence), *settled.notices)
+    if on_notice is not None:
+        for notice in notices:
+            on_notice(notice)
+    sequence, info = settled.frames, settled.frames.info
+    encoder = Encoder(info, settled.config)
     written = 0
 
     def report(frame: FrameReport) -> None:
@@ -140,6 +153,7 @@ def encode(
         seconds=time.perf_counter() - began,
         voxel_size_m=encoder.scene.objects[0].evidence.voxel_size_m,
         digest=digest,
+        notices=notices,
     )
 
 

@@ -58,7 +58,14 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         for number, (color, depth) in zip(numbers, pairs, strict=True)
     )
     depth_scale = options.depth_scale or cameras.depth_scale or DEPTH_SCALE
-    return Recording(folder=folder, frames=frames, rig=cameras.rig, depth_scale=depth_scale, fps=fps)
+    return Recording(
+        folder=folder,
+        frames=frames,
+        rig=cameras.rig,
+        depth_scale=depth_scale,
+        fps=fps,
+        poses_from=next(folder.glob(GROUND_TRUTH), None),
+    )
 
 
 def _ground_truth(folder: Path) -> dict[int, Pose]:

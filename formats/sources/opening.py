@@ -12,6 +12,7 @@ from threedvc.errors import ConfigError, SequenceError
 from threedvc.formats.sources.recording import Recording, SourceOptions
 from threedvc.formats.sources.registry import AUTO, find_layout
 from threedvc.formats.sources.sequence import FolderSequence
+from threedvc.pose_readings import AS_GIVEN, PoseReading, pose_reading
 
 __all__ = ["FrameRange", "open_sequence"]
 
@@ -27,6 +28,7 @@ def open_sequence(
     intrinsics: str | os.PathLike[str] | None = None,
     depth_scale: float | None = None,
     fps: float | None = None,
+    poses: str | None = None,
     max_depth_m: float | None = None,
     frames: FrameRange | None = None,
 ) -> FolderSequence:
@@ -46,6 +48,9 @@ def open_sequence(
         Units per metre of the depth pictures.
     fps
         Nominal frame rate; a layout with a clock of its own keeps its stamps.
+    poses
+        What the camera poses of the recording are to be taken for: ``as-given``, ``inverted``, ``opengl`` or others of
+        `threedvc.pose_readings`, several joined by ``+``.
     max_depth_m
         Depth beyond this many metres is no measurement.
     frames
@@ -70,10 +75,27 @@ def open_sequence(
     folder = Path(path)
     _require_folder(folder)
     options = SourceOptions(
-        color=_text(color), depth=_text(depth), intrinsics=_text(intrinsics), depth_scale=depth_scale, fps=fps
+        color=_text(color),
+        depth=_text(depth),
+        intrinsics=_text(intrinsics),
+        depth_scale=depth_scale,
+        fps=fps,
+        poses=poses,
     )
-    recording = find_layout(folder, layout, options).read(folder, options)
+    reading = pose_reading(poses or AS_GIVEN)
+    recording = _with_reading(find_layout(folder, layout, options).read(folder, options), reading)
     return FolderSequence(_cut(recording, frames) if frames else recording, max_depth_m=max_depth_m)
+
+
+def _with_reading(recording: Recording, reading: PoseReading) -> Recording:
+    """Take the camera poses for what the user says they are."""
+    if reading.name == AS_GIVEN:
+        return recording
+    frames = tuple(
+        frame if frame.T_world_camera is None else replace(frame, T_world_camera=reading.convert(frame.T_world_camera))
+        for frame in recording.frames
+    )
+    return replace(recording, frames=frames)
 
 
 def _text(path: str | os.PathLike[str] | None) -> str | None:

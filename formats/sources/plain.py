@@ -9,7 +9,7 @@
                            depth_scale (units per metre, 1000 if absent), fps (30 if absent);
                            or, for two cameras, `color` and `depth` with those entries, and T_color_depth (4x4)
     poses.txt              optional: NNNNNN tx ty tz qx qy qz qw, T_world_camera, metres;
-                           a number alone stands for a frame whose pose is not known
+                           a number alone, or no line, stands for a frame whose pose is not known
     masks/NNNNNN.png       optional: 8-bit labels in the depth camera, 0 = background; of the first frame
                            and as many others as there are
     object_poses.json      optional: label -> one 4x4 T_camera_object per frame in order, null where not known
@@ -75,6 +75,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         depth_scale=options.depth_scale or cameras.depth_scale or MILLIMETRES,
         fps=fps,
         T_base_depth=cameras.T_base_depth,
+        poses_from=folder / POSES,
     )
 
 
@@ -127,7 +128,11 @@ def _camera_poses(path: Path, numbers: Sequence[int]) -> dict[int, Pose | None]:
     if not path.is_file():
         return {}
     rows = _rows_by_number(path)
-    _require_all(path, numbers, rows, "pose")
+    if not rows.keys() & set(numbers):
+        raise SequenceError(
+            f"{path}: no pose for frame {numbers[0]} or any other ({len(rows)} for {len(numbers)} frames); number the "
+            "lines as the pictures are, or remove the file"
+        )
     unknown = sorted(rows.keys() - set(numbers))
     if unknown:
         raise SequenceError(

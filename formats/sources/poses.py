@@ -24,6 +24,7 @@ __all__ = [
     "interpolate_pose",
     "pose_from_numbers",
     "pose_from_row",
+    "read_known_matrix",
     "read_matrix",
     "read_trajectory_log",
     "rigid_poses",
@@ -33,6 +34,7 @@ PoseArray = NDArray[np.float64]
 
 RIGID_TOLERANCE = 1e-3
 UNIT_TOLERANCE = 1e-2
+LOST = frozenset({"inf", "infinity", "nan"})
 MAX_GAP_NS = NANOSECONDS // 10
 
 
@@ -89,6 +91,13 @@ def read_matrix(path: Path) -> Pose:
     """Read one 4x4 transform from a text file; raises SequenceError."""
     pose: Pose = rigid_poses(_matrix(path, read_rows(path))[None], [str(path)])[0]
     return pose
+
+
+def read_known_matrix(path: Path) -> Pose | None:
+    """Read one 4x4 transform from a text file, None if its numbers are not finite: the camera was lost there."""
+    rows = read_rows(path)
+    fields = [field.lower().lstrip("+-") for row in rows for field in row.fields]
+    return None if any(field in LOST for field in fields) else read_matrix(path)
 
 
 def read_trajectory_log(path: Path) -> list[Pose]:

@@ -45,6 +45,8 @@ class SourceOptions:
         Units per metre of the depth pictures.
     fps
         Nominal frame rate.
+    poses
+        What the camera poses are to be taken for, see `threedvc.pose_readings`.
     """
 
     color: str | None = None
@@ -52,6 +54,7 @@ class SourceOptions:
     intrinsics: str | None = None
     depth_scale: float | None = None
     fps: float | None = None
+    poses: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,6 +90,8 @@ class Recording:
         Raw depth value that means "no measurement" besides 0, or None.
     T_base_depth
         Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told.
+    poses_from
+        File or folder that the camera poses were read from, for messages.
     notices
         Decisions of the reader that the user should know.
     """
@@ -98,6 +103,7 @@ class Recording:
     fps: float
     invalid_depth: int | None = None
     T_base_depth: Pose | None = None
+    poses_from: Path | None = None
     notices: tuple[Notice, ...] = ()
 
 

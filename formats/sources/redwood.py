@@ -62,7 +62,14 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         for (color, depth), (stamp, color_stamp), pose in zip(pairs, stamps, poses, strict=True)
     )
     depth_scale = options.depth_scale or cameras.depth_scale or MILLIMETRES
-    return Recording(folder=folder, frames=frames, rig=cameras.rig, depth_scale=depth_scale, fps=fps)
+    return Recording(
+        folder=folder,
+        frames=frames,
+        rig=cameras.rig,
+        depth_scale=depth_scale,
+        fps=fps,
+        poses_from=next(iter(_trajectories(folder)), None),
+    )
 
 
 def _folders(folder: Path, options: SourceOptions) -> tuple[Path, Path]:

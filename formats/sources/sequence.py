@@ -84,6 +84,11 @@ class FolderSequence:
         return tuple(self._notices)
 
     @property
+    def poses_from(self) -> Path | None:
+        """File or folder that the camera poses were read from."""
+        return self._recording.poses_from
+
+    @property
     def T_base_depth(self) -> Pose | None:
         """Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told."""
         return self._recording.T_base_depth

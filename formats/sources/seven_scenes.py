@@ -18,7 +18,7 @@ from threedvc.camera import Camera, CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.association import PicturePair
 from threedvc.formats.sources.intrinsics import find_cameras
-from threedvc.formats.sources.poses import read_matrix
+from threedvc.formats.sources.poses import read_known_matrix
 from threedvc.formats.sources.recording import (
     DEFAULT_FPS,
     MILLIMETRES,
@@ -70,6 +70,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         depth_scale=options.depth_scale or (cameras.depth_scale if cameras else None) or MILLIMETRES,
         fps=fps,
         invalid_depth=INVALID_DEPTH,
+        poses_from=folder / "frame-*.pose.txt",
     )
 
 
@@ -94,15 +95,9 @@ def _pairs(folder: Path, files: Mapping[int, Mapping[str, Path]]) -> Sequence[Pi
     return [(kinds["color"], kinds["depth"]) for kinds in files.values()]
 
 
-def _poses(folder: Path, files: Mapping[int, Mapping[str, Path]]) -> dict[int, Pose]:
+def _poses(folder: Path, files: Mapping[int, Mapping[str, Path]]) -> dict[int, Pose | None]:
     paths = {number: kinds["pose"] for number, kinds in files.items() if "pose" in kinds}
-    missing = sorted(files.keys() - paths.keys())
-    if paths and missing:
-        raise SequenceError(
-            f"{folder / f'frame-{missing[0]:06d}.pose.txt'}: missing ({len(paths)} poses for {len(files)} frames); "
-            "add it, or remove all pose files and let the camera be tracked"
-        )
-    return {number: read_matrix(path) for number, path in paths.items()}
+    return {number: read_known_matrix(path) for number, path in paths.items()}
 
 
 LAYOUT = Layout(name="7scenes", recognises=recognises, read=read)

@@ -39,6 +39,7 @@ def open_sensors(
     intrinsics: Sequence[str] = (),
     depth_scale: Sequence[float] = (),
     fps: Sequence[float] = (),
+    poses: Sequence[str] = (),
     max_depth_m: float | None = None,
     frames: FrameRange | None = None,
 ) -> MergedSequence:
@@ -55,7 +56,7 @@ def open_sensors(
         ``T_base_depth``, the pose of its depth camera on the mount.
     delays_s
         For each sensor after the first, seconds to add to its times; empty: all clocks agree.
-    layout, color, depth, intrinsics, depth_scale, fps
+    layout, color, depth, intrinsics, depth_scale, fps, poses
         As of `open_sequence`, one for each sensor or one for all; empty: as the recordings say.
     max_depth_m, frames
         As of `open_sequence`; `frames` are cut from each recording.
@@ -68,18 +69,19 @@ def open_sensors(
         If an option has an impossible value or does not fit the number of sensors.
     """
     count = len(paths)
-    layouts, colors, depths, cameras, scales, rates = (
+    layouts, colors, depths, cameras, scales, rates, readings = (
         _for_each("--layout", layout, count),
         _for_each("--color", color, count),
         _for_each("--depth", depth, count),
         _for_each("--intrinsics", intrinsics, count),
         _for_each("--depth-scale", depth_scale, count),
         _for_each("--fps", fps, count),
+        _for_each("--poses", poses, count),
     )
     sequences = [
         open_sequence(
             path, layout=layouts[k] or AUTO, color=colors[k], depth=depths[k], intrinsics=cameras[k],
-            depth_scale=scales[k], fps=rates[k], max_depth_m=max_depth_m, frames=frames,
+            depth_scale=scales[k], fps=rates[k], poses=readings[k], max_depth_m=max_depth_m, frames=frames,
         )
         for k, path in enumerate(paths)
     ]  # fmt: skip

@@ -94,7 +94,14 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     )
     fps = options.fps or cameras.fps or fps_of_stamps([frame.timestamp_ns for frame in frames], DEFAULT_FPS)
     depth_scale = options.depth_scale or cameras.depth_scale or DEPTH_SCALE
-    return Recording(folder=folder, frames=frames, rig=cameras.rig, depth_scale=depth_scale, fps=fps)
+    return Recording(
+        folder=folder,
+        frames=frames,
+        rig=cameras.rig,
+        depth_scale=depth_scale,
+        fps=fps,
+        poses_from=folder / GROUND_TRUTH,
+    )
 
 
 def _pairs(folder: Path) -> list[StampedPair]:

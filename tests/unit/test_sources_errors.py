@@ -424,24 +424,32 @@ def test_bad_scale_in_the_file(recording: Path) -> None:
         ("1 0 0 0 0 0 0 1", "frame 1 was given on line 2; keep one line"),
         (
             "9 0 0 0 0 0 0 1",
-            None,
+            "pose of frame 9, which has no pictures (4 poses for 4 frames); remove the line or add the pictures",
         ),
     ],
 )
-def test_bad_pose_line(recording: Path, line: str, expected: str | None) -> None:
+def test_bad_pose_line(recording: Path, line: str, expected: str) -> None:
     path = recording / "poses.txt"
     write_lines(path, [*POSE_LINES[:2], line, POSE_LINES[3]])
-    if expected is None:
-        expected_text = f"{path}: no pose for frame 2 (4 for 4 frames); add it or remove poses.txt"
-    else:
-        expected_text = f"{path}:3: {expected}"
-    assert message(recording) == expected_text
+    assert message(recording) == f"{path}:3: {expected}"
+
+
+def test_poses_of_some_frames_are_kept(recording: Path) -> None:
+    write_lines(recording / "poses.txt", POSE_LINES[:3])
+    assert [frame.T_world_camera is not None for frame in open_sequence(recording)] == [True, True, True, False]
+
+
+def test_poses_of_other_frames(recording: Path) -> None:
+    path = recording / "poses.txt"
+    write_lines(path, [f"{k + 100} 0 0 0 0 0 0 1" for k in range(FRAMES)])
+    assert message(recording) == (
+        f"{path}: no pose for frame 0 or any other (4 for 4 frames); number the lines as the pictures are, or remove "
+        "the file"
+    )
 
 
 def test_pose_count_mismatch(recording: Path) -> None:
     path = recording / "poses.txt"
-    write_lines(path, POSE_LINES[:3])
-    assert message(recording) == f"{path}: no pose for frame 3 (3 for 4 frames); add it or remove poses.txt"
     write_lines(path, [*POSE_LINES, "4 0 0 0 0 0 0 1"])
     assert message(recording) == (
         f"{path}:5: pose of frame 4, which has no pictures (5 poses for 4 frames); remove the line or add the pictures"
@@ -552,17 +560,14 @@ def test_damage_outside_the_frame_range_is_ignored(recording: Path) -> None:
 
 
 def test_seven_scenes_with_a_pose_missing(tmp_path: Path) -> None:
-    for k in range(2):
-        write_picture(tmp_path / f"frame-{k:06d}.color.png", np.zeros((48, 64), np.uint8))
-        write_picture(tmp_path / f"frame-{k:06d}.depth.png", np.full((48, 64), 900, np.uint16))
-    pose = tmp_path / "frame-000000.pose.txt"
-    write_lines(pose, ["1 0 0 0", "0 1 0 0", "0 0 1 NaN", "0 0 0 1"])
-    assert message(tmp_path) == (
-        f"{tmp_path / 'frame-000001.pose.txt'}: missing (1 poses for 2 frames); "
-        "add it, or remove all pose files and let the camera be tracked"
-    )
-    shutil.copy(pose, tmp_path / "frame-000001.pose.txt")
-    assert message(tmp_path) == f"{pose}:3: 'NaN' is not a finite number; correct the line or remove the file"
+    for k in range(3):
+        write_picture(tmp_path / f"frame-{k:06d}.color.png", np.zeros((480, 640), np.uint8))
+        write_picture(tmp_path / f"frame-{k:06d}.depth.png", np.full((480, 640), 900, np.uint16))
+    write_lines(tmp_path / "frame-000000.pose.txt", ["1 0 0 0", "0 1 0 0", "0 0 1 0", "0 0 0 1"])
+    write_lines(tmp_path / "frame-000001.pose.txt", ["-inf -inf -inf -inf"] * 4)
+    assert [frame.T_world_camera is not None for frame in open_sequence(tmp_path)] == [True, False, False]
+    write_lines(tmp_path / "frame-000002.pose.txt", ["1 0 0 0", "0 1 0 0", "0 0 1 x", "0 0 0 1"])
+    assert message(tmp_path) == f"{tmp_path / 'frame-000002.pose.txt'}:3: 'x' is not a number; correct the line"
     (tmp_path / "frame-000001.depth.png").unlink()
     assert message(tmp_path) == f"{tmp_path / 'frame-000001.depth.png'}: missing; add it or remove frame 1"
 
