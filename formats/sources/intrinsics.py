@@ -12,7 +12,9 @@ import numpy as np
 from threedvc.camera import Camera, CameraRig
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.formats.sources.association import PicturePair
+from threedvc.formats.sources.camera_checks import check_camera, check_rig, doubts_of, matrix_parameters
 from threedvc.formats.sources.images import read_header
+from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.poses import rigid_poses
 from threedvc.formats.sources.recording import SourceOptions, resolved
 from threedvc.formats.sources.text import read_json, read_rows
@@ -28,12 +30,16 @@ REMEDY = "give --intrinsics FILE or fx,fy,cx,cy"
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFile:
-    """What an intrinsics file or option says: cameras, and where it says so, depth scale, frame rate, and mounting."""
+    """What an intrinsics file or option says: cameras, and where it says so, depth scale, frame rate, and mounting.
+
+    The notices tell what is odd about the cameras.
+    """
 
     rig: CameraRig
     depth_scale: float | None = None
     fps: float | None = None
     T_base_depth: Pose | None = None
+    notices: tuple[Notice, ...] = ()
 
 
 def find_cameras(
@@ -97,7 +103,7 @@ def numbers_option(text: str, color: PictureSize, depth: PictureSize) -> CameraF
             f"--intrinsics {text}: one camera cannot have pictures of {_size(color)} (colour) and {_size(depth)} "
             "(depth); give a file with color, depth and T_color_depth"
         )
-    return CameraFile(rig=CameraRig.registered_to(_camera(values, color, f"--intrinsics {text}")))
+    return _checked(CameraFile(rig=CameraRig.registered_to(_camera(values, color, f"--intrinsics {text}"))), text)
 
 
 def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> CameraFile:
@@ -118,24 +124,32 @@ def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> Camer
         If the file cannot be read or a value is missing or impossible.
     """
     if path.suffix.lower() != ".json":
-        return CameraFile(rig=_registered(_matrix_file(path), color, depth, str(path)))
+        return _checked(CameraFile(rig=_registered(_matrix_file(path), color, depth, str(path))), str(path))
     content = read_json(path)
     if isinstance(content.get("intrinsic"), dict):
         content = {**content, **_mapping(content, "intrinsic", path)}
-    return CameraFile(
+    file = CameraFile(
         rig=_two_cameras(content, path) if "color" in content else _one_camera(content, path, color, depth),
         depth_scale=_optional_positive(content, "depth_scale", path),
         fps=_optional_positive(content, "fps", path),
         T_base_depth=_transform(content, "T_base_depth", path),
     )
+    return _checked(file, str(path))
+
+
+def _checked(file: CameraFile, source: str) -> CameraFile:
+    """Return a camera file with its doubts told; raises SequenceError if there can be no such cameras."""
+    check_rig(file.rig, source)
+    cameras = {file.rig.color, file.rig.depth}
+    for camera in cameras:
+        check_camera(camera, source, REMEDY)
+    return replace(file, notices=tuple(doubt for camera in cameras for doubt in doubts_of(camera, source)))
 
 
 def _one_camera(content: Mapping[str, object], path: Path, color: PictureSize, depth: PictureSize) -> CameraRig:
     if "intrinsic_matrix" in content:
         matrix = _numbers(content, "intrinsic_matrix", path)
-        if len(matrix) != 9:
-            raise SequenceError(f"{path}: intrinsic_matrix has {len(matrix)} numbers, expected 9; correct the file")
-        values = [matrix[0], matrix[4], matrix[6], matrix[7]]
+        values = matrix_parameters(matrix, f"{path}: intrinsic_matrix")
         size = _picture_size(content, path) if "width" in content else color
         return _registered(values, size, size if "width" in content else depth, str(path))
     return CameraRig.registered_to(_camera_entry(content, path, ""))
@@ -196,9 +210,11 @@ def _camera(values: list[float], size: PictureSize, source: str, distortion: lis
 
 def _matrix_file(path: Path) -> list[float]:
     rows = [row.floats() for row in read_rows(path)]
+    if [len(row) for row in rows] == [9]:
+        return matrix_parameters(rows[0], str(path))
     if len(rows) not in (3, 4) or any(len(row) != len(rows) for row in rows):
         raise SequenceError(f"{path}: is neither JSON nor a 3x3 matrix; {REMEDY}")
-    return [rows[0][0], rows[1][1], rows[0][2], rows[1][2]]
+    return matrix_parameters([number for row in rows[:3] for number in row[:3]], str(path))
 
 
 def _picture_size(content: Mapping[str, object], path: Path) -> PictureSize:
@@ -230,6 +246,8 @@ def _number(content: Mapping[str, object], name: str, path: Path) -> float:
 
 def _numbers(content: Mapping[str, object], name: str, path: Path) -> list[float]:
     value = content[name]
+    if isinstance(value, list) and value and all(isinstance(item, list) for item in value):
+        value = [number for row in value for number in row]
     if not isinstance(value, list) or not all(isinstance(item, int | float) for item in value):
         raise SequenceError(f"{path}: {name} is not a list of numbers; correct the file")
     return [float(item) for item in value]

@@ -191,9 +191,9 @@ def test_size_changes(recording: Path, kind: str) -> None:
 
 
 def test_size_differs_from_intrinsics(recording: Path) -> None:
-    edit_intrinsics(recording, width=640, height=480)
+    edit_intrinsics(recording, width=60, height=45)
     assert message(recording) == (
-        f"{recording / 'color' / '000000.png'}: is 64x48, but the intrinsics are for 640x480; "
+        f"{recording / 'color' / '000000.png'}: is 64x48, but the intrinsics are for 60x45; "
         "give --intrinsics FILE or fx,fy,cx,cy of this size"
     )
 
@@ -313,7 +313,10 @@ def test_intrinsics_option_with_pictures_of_two_sizes(recording: Path) -> None:
         ),
         ({"distortion": "none"}, "distortion is not a list of numbers; correct the file"),
         ({"color": 5}, "color is not an object with fx, fy, cx, cy; correct the file"),
-        ({"intrinsic_matrix": [1.0, 2.0]}, "intrinsic_matrix has 2 numbers, expected 9; correct the file"),
+        (
+            {"intrinsic_matrix": [1.0, 2.0]},
+            "intrinsic_matrix: 2 numbers, expected the 9 of a 3x3 matrix; correct the file",
+        ),
         ({"depth_scale": "mm"}, "depth_scale is 'mm', expected a number; correct the file"),
     ],
 )
