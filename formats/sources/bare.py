@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import pair_pictures
 from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
 from threedvc.formats.sources.recording import (
@@ -47,8 +48,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         FrameFiles(color=color_path, depth=depth_path, timestamp_ns=regular_stamp(index, fps))
         for index, (color_path, depth_path) in enumerate(pairs)
     )
-    depth_scale = options.depth_scale or cameras.depth_scale or MILLIMETRES
-    return Recording(folder=folder, frames=frames, rig=cameras.rig, depth_scale=depth_scale, fps=fps)
+    return assemble(folder, frames, cameras, options, depth_scale=MILLIMETRES, fps=fps)
 
 
 LAYOUT = Layout(name="bare", recognises=recognises, read=read, takes_folders=True)

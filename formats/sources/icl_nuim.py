@@ -14,6 +14,7 @@ import numpy as np
 
 from threedvc.camera import Camera
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import name_numbers, pair_pictures
 from threedvc.formats.sources.intrinsics import find_cameras, published_camera
 from threedvc.formats.sources.poses import pose_from_row
@@ -57,12 +58,12 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         )
         for number, (color, depth) in zip(numbers, pairs, strict=True)
     )
-    depth_scale = options.depth_scale or cameras.depth_scale or DEPTH_SCALE
-    return Recording(
-        folder=folder,
-        frames=frames,
-        rig=cameras.rig,
-        depth_scale=depth_scale,
+    return assemble(
+        folder,
+        frames,
+        cameras,
+        options,
+        depth_scale=DEPTH_SCALE,
         fps=fps,
         poses_from=next(folder.glob(GROUND_TRUTH), None),
     )

@@ -71,8 +71,8 @@ def find_cameras(
     )
 
 
-def published_camera(camera: Camera | None, pair: PicturePair) -> CameraFile:
-    """Return the published camera of a data set as a registered rig.
+def published_camera(camera: Camera | None, pair: PicturePair, *, nominal: str | None = None) -> CameraFile:
+    """Return the published camera of a data set as a registered rig; that it is only the `nominal` one of this is told.
 
     Raises
     ------
@@ -81,7 +81,9 @@ def published_camera(camera: Camera | None, pair: PicturePair) -> CameraFile:
     """
     if camera is None or any(read_header(path).size != (camera.width, camera.height) for path in pair):
         raise SequenceError(f"{pair[0].parent.parent}: no camera intrinsics; {REMEDY}")
-    return CameraFile(rig=CameraRig.registered_to(camera))
+    told = f"{pair[0].parent.parent}: no camera file; the nominal camera of {nominal} (fx {camera.fx:g}) is assumed; "
+    notices = () if nominal is None else (Notice(f"{told}{REMEDY} for another"),)
+    return CameraFile(rig=CameraRig.registered_to(camera), notices=notices)
 
 
 def numbers_option(text: str, color: PictureSize, depth: PictureSize) -> CameraFile:

@@ -27,6 +27,7 @@ from typing import TypeVar
 import numpy as np
 
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import PicturePair, list_pictures, name_numbers, pair_pictures
 from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
 from threedvc.formats.sources.poses import pose_from_row, rigid_poses
@@ -68,13 +69,13 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     if cameras is None:
         raise SequenceError(f"{own_file}: no camera intrinsics; add the file, or {REMEDY}")
     fps = options.fps or cameras.fps or DEFAULT_FPS
-    return Recording(
-        folder=folder,
-        frames=_frames(folder, pairs, fps),
-        rig=cameras.rig,
-        depth_scale=options.depth_scale or cameras.depth_scale or MILLIMETRES,
+    return assemble(
+        folder,
+        _frames(folder, pairs, fps),
+        cameras,
+        options,
+        depth_scale=MILLIMETRES,
         fps=fps,
-        T_base_depth=cameras.T_base_depth,
         poses_from=folder / POSES,
     )
 

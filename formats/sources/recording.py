@@ -84,10 +84,10 @@ class Recording:
         Cameras.
     depth_scale
         Units per metre of the depth pictures.
+    depth_scale_told
+        Whether the user or the recording says so; else it is a custom of the layout.
     fps
         Nominal frame rate.
-    invalid_depth
-        Raw depth value that means "no measurement" besides 0, or None.
     T_base_depth
         Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told.
     poses_from
@@ -101,7 +101,7 @@ class Recording:
     rig: CameraRig
     depth_scale: float
     fps: float
-    invalid_depth: int | None = None
+    depth_scale_told: bool = False
     T_base_depth: Pose | None = None
     poses_from: Path | None = None
     notices: tuple[Notice, ...] = ()

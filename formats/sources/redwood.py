@@ -14,6 +14,7 @@ from pathlib import Path
 
 from threedvc.camera import Camera
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import PicturePair, associate, list_pictures, pair_pictures
 from threedvc.formats.sources.intrinsics import find_cameras, published_camera
 from threedvc.formats.sources.poses import read_trajectory_log
@@ -52,7 +53,9 @@ def recognises(folder: Path) -> bool:
 def read(folder: Path, options: SourceOptions) -> Recording:
     """List a Redwood recording; raises SequenceError or ConfigError."""
     pairs, stamps = _pairs(*_folders(folder, options))
-    cameras = find_cameras(folder, options, pairs[0], _intrinsics(folder)) or published_camera(CAMERA, pairs[0])
+    cameras = find_cameras(folder, options, pairs[0], _intrinsics(folder)) or published_camera(
+        CAMERA, pairs[0], nominal="Redwood's sensor"
+    )
     measured = fps_of_stamps([stamp for stamp, _ in stamps], DEFAULT_FPS) if stamps else DEFAULT_FPS
     fps = options.fps or cameras.fps or measured
     stamps = stamps or [(regular_stamp(index, fps), None) for index in range(len(pairs))]
@@ -61,12 +64,12 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         FrameFiles(color=color, depth=depth, timestamp_ns=stamp, color_timestamp_ns=color_stamp, T_world_camera=pose)
         for (color, depth), (stamp, color_stamp), pose in zip(pairs, stamps, poses, strict=True)
     )
-    depth_scale = options.depth_scale or cameras.depth_scale or MILLIMETRES
-    return Recording(
-        folder=folder,
-        frames=frames,
-        rig=cameras.rig,
-        depth_scale=depth_scale,
+    return assemble(
+        folder,
+        frames,
+        cameras,
+        options,
+        depth_scale=MILLIMETRES,
         fps=fps,
         poses_from=next(iter(_trajectories(folder)), None),
     )

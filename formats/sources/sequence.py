@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import Camera
-from threedvc.errors import ConfigError, SequenceError
+from threedvc.errors import SequenceError
+from threedvc.formats.sources.depth_checks import NO_MEASUREMENT, check_depth
 from threedvc.formats.sources.images import PictureHeader, read_color, read_depth, read_header, read_mask
 from threedvc.formats.sources.intrinsics import REMEDY
 from threedvc.formats.sources.notices import Notice
@@ -27,9 +27,6 @@ __all__ = ["FolderSequence"]
 Item = TypeVar("Item", bound=np.generic)
 
 READ_AHEAD = 3
-PROBES = 8
-PROBES_WITH_DATA = 3
-PLAUSIBLE_METRES = (0.05, 100.0)
 
 
 class FolderSequence:
@@ -60,7 +57,13 @@ class FolderSequence:
         self._notices = list(recording.notices)
         frames = recording.frames
         channels = _check_headers(recording)
-        self._check_depth()
+        self._notices += check_depth(
+            [frame.depth for frame in frames],
+            self._raw_depth,
+            recording.depth_scale,
+            told=recording.depth_scale_told,
+            max_depth_m=max_depth_m,
+        )
         self._info = SequenceInfo(
             name=recording.folder.resolve().name,
             rig=recording.rig,
@@ -133,53 +136,16 @@ class FolderSequence:
             reader.shutdown(cancel_futures=True)
 
     def _depth_m(self, path: Path) -> NDArray[np.float32]:
-        depth = self._measured_m(path)
+        depth = np.divide(self._raw_depth(path), np.float32(self._recording.depth_scale), dtype=np.float32)
         if self._max_depth_m is not None:
             depth[depth > self._max_depth_m] = 0
         return depth
 
-    def _measured_m(self, path: Path) -> NDArray[np.float32]:
+    def _raw_depth(self, path: Path) -> NDArray[np.uint16]:
+        """Return depth in units, 0 where it was not measured."""
         raw = read_depth(path)
-        depth = np.divide(raw, np.float32(self._recording.depth_scale), dtype=np.float32)
-        if self._recording.invalid_depth is not None:
-            depth[raw == self._recording.invalid_depth] = 0
-        return depth
-
-    def _check_depth(self) -> None:
-        """Look at the depth of a few frames: whether there is any, and whether its scale makes sense."""
-        path, depth = self._probe()
-        nearest, farthest = float(depth.min()), float(depth.max())
-        median = float(np.median(depth))
-        extent = f"{nearest:.4g}..{farthest:.4g} m"
-        if not PLAUSIBLE_METRES[0] <= median <= PLAUSIBLE_METRES[1]:
-            raise SequenceError(
-                f"{path}: depth of {extent} (median {median:.4g} m) is implausible at "
-                f"{self._recording.depth_scale:g} units per metre; give --depth-scale (1000 for millimetres)"
-            )
-        if self._max_depth_m is not None and nearest > self._max_depth_m:
-            raise ConfigError(
-                f"--max-depth {self._max_depth_m:g} m leaves no depth: {path} has {extent}; give a larger value"
-            )
-
-    def _probe(self) -> tuple[Path, NDArray[np.float32]]:
-        """Return the depths in metres, (n,), of the first few probed frames that have any, and the first one's file."""
-        frames = self._recording.frames
-        places = np.unique(np.linspace(0, len(frames) - 1, PROBES).astype(int))
-        found: list[tuple[Path, NDArray[np.float32]]] = []
-        for place in places:
-            # A damaged picture is reported when its frame is read, so that the frames before it can be used.
-            with suppress(SequenceError):
-                depth = self._measured_m(frames[place].depth)
-                if depth.any():
-                    found.append((frames[place].depth, depth[depth > 0]))
-            if len(found) == PROBES_WITH_DATA:
-                break
-        if not found:
-            raise SequenceError(
-                f"{frames[0].depth}: depth is zero everywhere, and in {len(places) - 1} more pictures looked at; "
-                "give the folder of the real depth pictures"
-            )
-        return found[0][0], np.concatenate([depth for _, depth in found])
+        raw[raw == NO_MEASUREMENT] = 0
+        return raw
 
 
 def _of_size(camera: Camera, picture: NDArray[Item], path: Path) -> NDArray[Item]:

@@ -16,8 +16,10 @@ import numpy as np
 
 from threedvc.camera import Camera, CameraRig
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import PicturePair
-from threedvc.formats.sources.intrinsics import find_cameras
+from threedvc.formats.sources.intrinsics import REMEDY, CameraFile, find_cameras
+from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.poses import read_known_matrix
 from threedvc.formats.sources.recording import (
     DEFAULT_FPS,
@@ -33,7 +35,8 @@ from threedvc.pose import Pose
 __all__ = ["LAYOUT"]
 
 FRAME_FILE = re.compile(r"frame-(\d+)\.(color\.png|color\.jpg|depth\.png|pose\.txt)")
-INVALID_DEPTH = 65535
+OWN_CAMERAS = ("camera-intrinsics.txt", "intrinsics.json", "camera_intrinsic.json")
+"""Files beside pictures of these names that are of another camera: tsdf-fusion, 3DMatch, Open3D."""
 RIG = CameraRig(
     color=Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0),
     depth=Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.0, cy=240.0),
@@ -51,8 +54,8 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     files = _files_by_number(folder)
     pairs = _pairs(folder, files)
     poses = _poses(folder, files)
-    cameras = find_cameras(folder, options, pairs[0])
-    fps = options.fps or (cameras.fps if cameras else None) or DEFAULT_FPS
+    cameras, notices = _cameras(folder, options, pairs[0])
+    fps = options.fps or cameras.fps or DEFAULT_FPS
     first = min(files)
     frames = tuple(
         FrameFiles(
@@ -63,15 +66,31 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         )
         for number, (color, depth) in zip(files, pairs, strict=True)
     )
-    return Recording(
-        folder=folder,
-        frames=frames,
-        rig=cameras.rig if cameras else RIG,
-        depth_scale=options.depth_scale or (cameras.depth_scale if cameras else None) or MILLIMETRES,
+    return assemble(
+        folder,
+        frames,
+        cameras,
+        options,
+        depth_scale=MILLIMETRES,
         fps=fps,
-        invalid_depth=INVALID_DEPTH,
         poses_from=folder / "frame-*.pose.txt",
+        notices=notices,
     )
+
+
+def _cameras(folder: Path, options: SourceOptions, pair: PicturePair) -> tuple[CameraFile, list[Notice]]:
+    """Return the cameras that the user gives, those of a file beside the pictures, or the nominal ones."""
+    beside = next(
+        (place / name for place in (folder, folder.parent) for name in OWN_CAMERAS if (place / name).is_file()), None
+    )
+    cameras = find_cameras(folder, options, pair, beside)
+    if cameras is None:
+        sizes = f"{RIG.color.fx:g} and {RIG.depth.fx:g} pixels, colour and depth not registered"
+        told = f"{folder}: no camera file; the nominal cameras of 7-Scenes ({sizes}) are assumed; {REMEDY} for others"
+        return CameraFile(rig=RIG), [Notice(told)]
+    if options.intrinsics is not None:
+        return cameras, []
+    return cameras, [Notice(f"{folder}: its cameras are taken from {beside}, colour and depth registered")]
 
 
 def _files_by_number(folder: Path) -> dict[int, dict[str, Path]]:

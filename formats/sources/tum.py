@@ -16,6 +16,7 @@ from pathlib import Path
 
 from threedvc.camera import Camera
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import associate
 from threedvc.formats.sources.intrinsics import find_cameras, published_camera
 from threedvc.formats.sources.poses import interpolate_pose, pose_from_row
@@ -93,14 +94,8 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         for pair in pairs
     )
     fps = options.fps or cameras.fps or fps_of_stamps([frame.timestamp_ns for frame in frames], DEFAULT_FPS)
-    depth_scale = options.depth_scale or cameras.depth_scale or DEPTH_SCALE
-    return Recording(
-        folder=folder,
-        frames=frames,
-        rig=cameras.rig,
-        depth_scale=depth_scale,
-        fps=fps,
-        poses_from=folder / GROUND_TRUTH,
+    return assemble(
+        folder, frames, cameras, options, depth_scale=DEPTH_SCALE, fps=fps, poses_from=folder / GROUND_TRUTH
     )
 
 
