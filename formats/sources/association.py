@@ -5,18 +5,82 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.names import NamedPictures, named_pictures, unit_name
+from threedvc.formats.sources.notices import Notice
 
-__all__ = ["PICTURE_SUFFIXES", "PicturePair", "associate", "list_pictures", "name_numbers", "pair_pictures"]
+__all__ = [
+    "PICTURE_SUFFIXES",
+    "Pairing",
+    "PicturePair",
+    "associate",
+    "left_out",
+    "list_pictures",
+    "name_numbers",
+    "pair_pictures",
+]
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
-MAX_DIFFERENCE_NS = 20_000_000
+OTHER_PICTURES = {
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".npy": "NumPy arrays",
+    ".npz": "NumPy arrays",
+    ".exr": "OpenEXR",
+    ".webp": "WebP",
+    ".bmp": "Windows bitmaps",
+    ".pgm": "portable grey maps",
+    ".ppm": "portable pixel maps",
+    ".pfm": "portable float maps",
+    ".hdr": "Radiance",
+    ".raw": "raw samples",
+    ".bin": "raw samples",
+    ".depth": "compressed depth of Record3D",
+    ".heic": "HEIC",
+    ".avif": "AVIF",
+    ".gif": "GIF",
+    ".mp4": "video",
+    ".mkv": "video",
+    ".avi": "video",
+    ".ply": "point clouds",
+    ".pcd": "point clouds",
+}
+CONVERT = "convert colour to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimetres, 0 where there is none"
+MAX_DIFFERENCE_MS = 20
+MAX_DIFFERENCE_NS = MAX_DIFFERENCE_MS * 1_000_000
 
 Numbers = tuple[int, ...]
 PicturePair = tuple[Path, Path]
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Colour and depth pictures that belong together, in order.
+
+    Attributes
+    ----------
+    pairs
+        Colour and depth picture of each frame.
+    numbers
+        The number in the name of each frame's depth picture.
+    stamps
+        Where names are times: that of the depth picture in nanoseconds, and that of the colour picture if it is
+        another. Empty where names are numbers.
+    notices
+        What was decided.
+    """
+
+    pairs: Sequence[PicturePair]
+    numbers: Sequence[int]
+    stamps: Sequence[tuple[int, int | None]] = ()
+    notices: tuple[Notice, ...] = ()
 
 
 def associate(
@@ -56,52 +120,108 @@ def name_numbers(path: Path) -> Numbers:
 
 
 def list_pictures(folder: Path) -> list[Path]:
-    """List the PNG and JPEG files of a folder, ordered by the numbers in their names, then by name."""
-    try:
-        pictures = [p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")]
-    except OSError as error:
-        raise SequenceError(f"{folder}: cannot be listed ({error.strerror}); check the folder") from None
-    if not pictures:
-        raise SequenceError(f"{folder}: holds no .png or .jpg picture; give the folder that does")
-    return sorted(pictures, key=lambda path: (name_numbers(path), path.name))
-
-
-def pair_pictures(color_folder: Path, depth_folder: Path) -> list[PicturePair]:
-    """Pair the pictures of two folders by the numbers in their names, or in sorted order where no number agrees.
+    """List the PNG and JPEG files of a folder, ordered by the numbers in their names, then by name.
 
     Raises
     ------
     SequenceError
-        If a folder is missing or empty, a picture has no partner, or two pictures have the same number.
+        If it cannot be listed or holds none; the message says what it holds instead.
     """
-    colors = _by_numbers(color_folder)
-    depths = _by_numbers(depth_folder)
-    if colors.keys().isdisjoint(depths):
-        return _pair_in_order(color_folder, list(colors.values()), depth_folder, list(depths.values()))
-    _require_partners(colors, depths, f"depth picture in {depth_folder}")
-    _require_partners(depths, colors, f"colour picture in {color_folder}")
-    return [(path, depths[numbers]) for numbers, path in colors.items()]
+    try:
+        files = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    except OSError as error:
+        raise SequenceError(f"{folder}: cannot be listed ({error.strerror}); check the folder") from None
+    pictures = [path for path in files if path.suffix.lower() in PICTURE_SUFFIXES]
+    if not pictures:
+        raise SequenceError(f"{folder}: holds no .png or .jpg picture{_instead(files)}")
+    return sorted(pictures, key=lambda path: (name_numbers(path), path.name))
 
 
-def _by_numbers(folder: Path) -> dict[Numbers, Path]:
-    pictures: dict[Numbers, Path] = {}
-    for path in list_pictures(folder):
-        other = pictures.setdefault(name_numbers(path), path)
-        if other is not path:
-            raise SequenceError(f"{path}: no number in its name tells it from {other.name}; keep one of the two")
-    return pictures
+def _instead(files: Sequence[Path]) -> str:
+    """Say what a folder without pictures holds, and what to do."""
+    suffix, count = Counter(path.suffix.lower() for path in files).most_common(1)[0] if files else ("", 0)
+    if suffix not in OTHER_PICTURES:
+        return "; give the folder that does"
+    return f" but {count} {suffix} files ({OTHER_PICTURES[suffix]}); {CONVERT}"
 
 
-def _require_partners(pictures: dict[Numbers, Path], partners: dict[Numbers, Path], what: str) -> None:
-    for numbers, path in pictures.items():
-        if numbers not in partners:
-            raise SequenceError(f"{path}: has no {what}; add the missing picture or remove this one")
+def pair_pictures(color_folder: Path, depth_folder: Path) -> Pairing:
+    """Pair the pictures of two folders by what their names say: by time where they are times, else by number.
+
+    Raises
+    ------
+    SequenceError
+        If a folder is missing or empty, two pictures have the same number, the names of one folder are times and those
+        of the other are not, numbers do not agree, or no times do.
+    """
+    colors, depths = (named_pictures(folder, list_pictures(folder)) for folder in (color_folder, depth_folder))
+    if colors.unit_ns is not None and depths.unit_ns is not None:
+        return _by_time(colors, depths)
+    _require_partners(colors, depths)
+    pairs = [(path, depths.pictures[key]) for key, path in colors.pictures.items()]
+    return Pairing(pairs, [key[-1] if key else 0 for key in colors.pictures])
 
 
-def _pair_in_order(color_folder: Path, colors: list[Path], depth_folder: Path, depths: list[Path]) -> list[PicturePair]:
-    if len(colors) != len(depths):
+def _by_time(colors: NamedPictures, depths: NamedPictures) -> Pairing:
+    """Pair pictures whose names are times."""
+    color_paths, depth_paths = list(colors.pictures.values()), list(depths.pictures.values())
+    color_times, depth_times = colors.times_ns, depths.times_ns
+    matches = associate(color_times, depth_times)
+    if not matches:
         raise SequenceError(
-            f"{color_folder}: {len(colors)} pictures do not pair with the {len(depths)} in {depth_folder}; "
-            "give the two pictures of a frame the same number"
+            f"{colors.folder}: names are times, and none is within {MAX_DIFFERENCE_MS} ms of one in {depths.folder} "
+            f"({color_paths[0].name}, {depth_paths[0].name}); check that both clocks and units agree"
         )
-    return list(zip(colors, depths, strict=True))
+    assert depths.unit_ns is not None
+    unit = unit_name(depths.unit_ns) if depths.unit_ns > 1 or depth_paths[0].stem.isdecimal() else "seconds"
+    notices = [Notice(f"{depths.folder}: the names are taken for times in {unit}; {_interval(depth_times)}")]
+    notices += left_out(len(color_paths), len(depth_paths), len(matches), str(depths.folder.parent))
+    keys = list(depths.pictures)
+    return Pairing(
+        [(color_paths[i], depth_paths[j]) for i, j in matches],
+        [keys[j][0] for _, j in matches],
+        [(depth_times[j], None if color_times[i] == depth_times[j] else color_times[i]) for i, j in matches],
+        tuple(notices),
+    )
+
+
+def _interval(times_ns: Sequence[int]) -> str:
+    steps = [later - earlier for earlier, later in pairwise(times_ns)]
+    return f"{median(steps) / 1e6:.4g} ms between frames" if steps else "one frame"
+
+
+def left_out(colors: int, depths: int, pairs: int, place: str) -> list[Notice]:
+    """Tell how many pictures have no partner in time, if any."""
+    alone = colors + depths - 2 * pairs
+    if not alone:
+        return []
+    return [
+        Notice(
+            f"{place}: {colors} colour, {depths} depth pictures, {pairs} pairs within {MAX_DIFFERENCE_MS} ms; "
+            f"{alone} left out"
+        )
+    ]
+
+
+def _require_partners(colors: NamedPictures, depths: NamedPictures) -> None:
+    """Check that every picture has a partner of its number."""
+    no_depth = [path for key, path in colors.pictures.items() if key not in depths.pictures]
+    no_color = [path for key, path in depths.pictures.items() if key not in colors.pictures]
+    if not no_depth and not no_color:
+        return
+    counts = f"{len(colors.pictures)} colour and {len(depths.pictures)} depth pictures"
+    if no_depth and no_color:
+        raise SequenceError(
+            f"{no_depth[0]}: has no depth picture in {depths.folder}, and {no_color[0].name} there no colour "
+            f"picture ({counts}, {len(colors.pictures) - len(no_depth)} of their names agree); give the two pictures of a frame "
+            "the same number"
+        )
+    if no_depth:
+        raise SequenceError(
+            f"{no_depth[0]}: has no depth picture in {depths.folder} ({counts}); add the missing picture or remove "
+            "this one"
+        )
+    raise SequenceError(
+        f"{no_color[0]}: has no colour picture in {colors.folder} ({counts}); add the missing picture or remove "
+        "this one"
+    )

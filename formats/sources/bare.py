@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Bare folders of colour and depth pictures, paired by number or in sorted order; no poses, regular clock.
+"""Bare folders of colour and depth pictures, paired by the numbers or the times in their names.
 
-The intrinsics must be given; depth is in millimetres unless the scale is given.
+The intrinsics must be given; depth is in millimetres unless the scale is given. Names that are times give the clock,
+else it is regular. Masks are read from ``masks/`` or ``mask_visib/``, poses (4x4 camera-to-world) from ``pose/N.txt``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import pair_pictures
 from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
+from threedvc.formats.sources.masks import find_masks
+from threedvc.formats.sources.pose_folder import find_pose_folder, read_pose_folder
 from threedvc.formats.sources.recording import (
     DEFAULT_FPS,
     MILLIMETRES,
@@ -22,7 +26,8 @@ from threedvc.formats.sources.recording import (
     chosen_folder,
     first_folder,
 )
-from threedvc.formats.sources.timestamps import regular_stamp
+from threedvc.formats.sources.timestamps import rate_of, regular_stamp
+from threedvc.pose import Pose
 
 __all__ = ["LAYOUT"]
 
@@ -39,16 +44,46 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     """List a recording of bare folders; raises SequenceError or ConfigError."""
     color = chosen_folder(folder, options.color, first_folder(folder, COLOR_NAMES), "--color")
     depth = chosen_folder(folder, options.depth, first_folder(folder, DEPTH_NAMES), "--depth")
-    pairs = pair_pictures(color, depth)
-    cameras = find_cameras(folder, options, pairs[0])
+    pairing = pair_pictures(color, depth)
+    cameras = find_cameras(folder, options, pairing.pairs[0])
     if cameras is None:
         raise SequenceError(f"{folder}: no camera intrinsics; {REMEDY}")
-    fps = options.fps or cameras.fps or DEFAULT_FPS
-    frames = tuple(
-        FrameFiles(color=color_path, depth=depth_path, timestamp_ns=regular_stamp(index, fps))
-        for index, (color_path, depth_path) in enumerate(pairs)
+    told = options.fps or cameras.fps
+    rate = rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder)) if pairing.stamps else None
+    fps = told or DEFAULT_FPS
+    stamps = pairing.stamps or [(regular_stamp(index, fps), None) for index in range(len(pairing.pairs))]
+    masks = find_masks(folder, pairing.numbers)
+    poses, poses_from = _poses(folder, pairing.numbers)
+    frames = [
+        FrameFiles(
+            color=color_path,
+            depth=depth_path,
+            mask=masks.of_frames.get(number),
+            object_masks=masks.of_objects.get(number, {}),
+            timestamp_ns=stamp,
+            color_timestamp_ns=color_stamp,
+            T_world_camera=poses.get(number),
+        )
+        for (color_path, depth_path), number, (stamp, color_stamp) in zip(
+            pairing.pairs, pairing.numbers, stamps, strict=True
+        )
+    ]
+    return assemble(
+        folder,
+        frames,
+        cameras,
+        options,
+        depth_scale=MILLIMETRES,
+        fps=fps if rate is None else rate.fps,
+        poses_from=poses_from,
+        notices=(*pairing.notices, *(rate.notices if rate is not None else ()), *masks.notices),
     )
-    return assemble(folder, frames, cameras, options, depth_scale=MILLIMETRES, fps=fps)
+
+
+def _poses(folder: Path, numbers: Sequence[int]) -> tuple[dict[int, Pose | None], Path | None]:
+    """Return the poses in a folder beside the pictures, where there is one."""
+    place = find_pose_folder(folder)
+    return ({}, None) if place is None else (read_pose_folder(place, numbers), place)
 
 
 LAYOUT = Layout(name="bare", recognises=recognises, read=read, takes_folders=True)

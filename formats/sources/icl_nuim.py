@@ -15,7 +15,7 @@ import numpy as np
 from threedvc.camera import Camera
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
-from threedvc.formats.sources.association import name_numbers, pair_pictures
+from threedvc.formats.sources.association import pair_pictures
 from threedvc.formats.sources.intrinsics import find_cameras, published_camera
 from threedvc.formats.sources.poses import pose_from_row
 from threedvc.formats.sources.recording import (
@@ -44,11 +44,11 @@ def recognises(folder: Path) -> bool:
 
 def read(folder: Path, options: SourceOptions) -> Recording:
     """List an ICL-NUIM sequence; raises SequenceError or ConfigError."""
-    pairs = pair_pictures(folder / "rgb", folder / "depth")
+    pairing = pair_pictures(folder / "rgb", folder / "depth")
+    pairs, numbers = pairing.pairs, pairing.numbers
     cameras = find_cameras(folder, options, pairs[0]) or published_camera(CAMERA, pairs[0])
     fps = options.fps or cameras.fps or DEFAULT_FPS
     poses = _ground_truth(folder)
-    numbers = [name_numbers(path)[-1] for path, _ in pairs]
     frames = tuple(
         FrameFiles(
             color=color,

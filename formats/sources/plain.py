@@ -21,6 +21,8 @@ NNNNNN is the frame's number. Numbers may begin anywhere and have gaps; a gap ta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,8 +30,10 @@ import numpy as np
 
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
-from threedvc.formats.sources.association import PicturePair, list_pictures, name_numbers, pair_pictures
+from threedvc.formats.sources.association import Pairing, pair_pictures
 from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
+from threedvc.formats.sources.masks import Masks, find_masks
+from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.poses import pose_from_row, rigid_poses
 from threedvc.formats.sources.recording import (
     DEFAULT_FPS,
@@ -41,7 +45,7 @@ from threedvc.formats.sources.recording import (
     chosen_folder,
 )
 from threedvc.formats.sources.text import Row, read_json, read_rows
-from threedvc.formats.sources.timestamps import parse_nanoseconds, regular_stamp
+from threedvc.formats.sources.timestamps import UNITS, Rate, parse_nanoseconds, rate_of, regular_stamp, unit_of
 from threedvc.pose import Pose
 
 __all__ = ["LAYOUT"]
@@ -63,66 +67,60 @@ def recognises(folder: Path) -> bool:
 
 def read(folder: Path, options: SourceOptions) -> Recording:
     """List a recording in the plain layout; raises SequenceError or ConfigError."""
-    pairs = _pairs(folder, options)
+    color = chosen_folder(folder, options.color, folder / "color", "--color")
+    pairing = pair_pictures(color, chosen_folder(folder, options.depth, folder / "depth", "--depth"))
     own_file = folder / INTRINSICS
-    cameras = find_cameras(folder, options, pairs[0], own_file if own_file.is_file() else None)
+    cameras = find_cameras(folder, options, pairing.pairs[0], own_file if own_file.is_file() else None)
     if cameras is None:
         raise SequenceError(f"{own_file}: no camera intrinsics; add the file, or {REMEDY}")
-    fps = options.fps or cameras.fps or DEFAULT_FPS
+    for path, _ in pairing.pairs:
+        _require_number(path)
+    clock = _clock(folder, pairing, options.fps or cameras.fps)
+    masks = find_masks(folder, pairing.numbers)
     return assemble(
         folder,
-        _frames(folder, pairs, fps),
+        _frames(folder, pairing, clock, masks),
         cameras,
         options,
         depth_scale=MILLIMETRES,
-        fps=fps,
+        fps=clock.rate.fps,
         poses_from=folder / POSES,
+        notices=(*pairing.notices, *clock.rate.notices, *masks.notices),
     )
 
 
-def _pairs(folder: Path, options: SourceOptions) -> list[PicturePair]:
-    color = chosen_folder(folder, options.color, folder / "color", "--color")
-    return pair_pictures(color, chosen_folder(folder, options.depth, folder / "depth", "--depth"))
+@dataclass(frozen=True)
+class _Clock:
+    """Times of each frame's depth and colour picture, nanoseconds, and the rate."""
+
+    stamps: Sequence[tuple[int, int | None]]
+    rate: Rate
 
 
-def _frames(folder: Path, pairs: Sequence[PicturePair], fps: float) -> tuple[FrameFiles, ...]:
-    numbers = [_number(path) for path, _ in pairs]
-    masks = _masks(folder / "masks", numbers)
+def _frames(folder: Path, pairing: Pairing, clock: _Clock, masks: Masks) -> list[FrameFiles]:
+    numbers = pairing.numbers
     poses = _camera_poses(folder / POSES, numbers)
     objects = _object_poses(folder / OBJECT_POSES, len(numbers))
-    stamps = _stamps(folder / TIMESTAMPS, numbers, fps)
-    return tuple(
+    return [
         FrameFiles(
             color=color,
             depth=depth,
-            mask=masks.get(number),
+            mask=masks.of_frames.get(number),
+            object_masks=masks.of_objects.get(number, {}),
             timestamp_ns=stamp,
             color_timestamp_ns=color_stamp,
             T_world_camera=poses.get(number),
             T_camera_object=objects_here,
         )
         for number, (color, depth), objects_here, (stamp, color_stamp) in zip(
-            numbers, pairs, objects, stamps, strict=True
+            numbers, pairing.pairs, objects, clock.stamps, strict=True
         )
-    )
+    ]
 
 
-def _number(path: Path) -> int:
+def _require_number(path: Path) -> None:
     if not path.stem.isdecimal():
         raise SequenceError(f"{path}: is not named by its frame number (NNNNNN); rename it or choose --layout bare")
-    return int(path.stem)
-
-
-def _masks(folder: Path, numbers: Sequence[int]) -> dict[int, Path]:
-    if not folder.is_dir():
-        return {}
-    masks = {name_numbers(path)[-1]: path for path in list_pictures(folder) if name_numbers(path)}
-    if numbers[0] not in masks:
-        raise SequenceError(
-            f"{folder}: no mask for frame {numbers[0]}, the first ({len(masks)} for {len(numbers)} frames); "
-            "add it or remove masks"
-        )
-    return masks
 
 
 def _camera_poses(path: Path, numbers: Sequence[int]) -> dict[int, Pose | None]:
@@ -143,16 +141,31 @@ def _camera_poses(path: Path, numbers: Sequence[int]) -> dict[int, Pose | None]:
     return {number: pose_from_row(row) if len(row.fields) > 1 else None for number, row in rows.items()}
 
 
-def _stamps(path: Path, numbers: Sequence[int], fps: float) -> list[tuple[int, int | None]]:
+def _clock(folder: Path, pairing: Pairing, told: float | None) -> _Clock:
+    """Return the times of the file, else those in the names, else those of a regular clock."""
+    path, numbers = folder / TIMESTAMPS, pairing.numbers
+    if not path.is_file() and pairing.stamps:
+        return _Clock(pairing.stamps, rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder)))
+    fps = told or DEFAULT_FPS
+    regular = _Clock([(regular_stamp(number - numbers[0], fps), None) for number in numbers], Rate(fps))
     if not path.is_file():
-        return [(regular_stamp(number - numbers[0], fps), None) for number in numbers]
+        return regular
     rows = _rows_by_number(path)
     _require_all(path, numbers, rows, "timestamp")
     stamps = [_row_stamps(rows[number]) for number in numbers]
     for number, (stamp, _), (earlier, _) in zip(numbers[1:], stamps[1:], stamps, strict=False):
         if stamp < earlier:
             raise SequenceError(f"{rows[number].place}: time {stamp} ns runs backwards; correct the line")
-    return stamps
+    unit = unit_of([Decimal(stamp) for stamp, _ in stamps], "nanoseconds")
+    if unit is None:
+        told_so = Notice(f"{path}: its stamps count frames; they are taken to be {fps:g} per second")
+        return replace(regular, rate=Rate(fps, (told_so,)))
+    ticks = UNITS[unit]
+    timed = [(stamp * ticks, None if color is None else color * ticks) for stamp, color in stamps]
+    rate = rate_of([stamp for stamp, _ in timed], told, str(path))
+    if ticks > 1:
+        rate = replace(rate, notices=(Notice(f"{path}: its stamps are taken for {unit}"), *rate.notices))
+    return _Clock(timed, rate)
 
 
 def _row_stamps(row: Row) -> tuple[int, int | None]:

@@ -59,12 +59,16 @@ class SourceOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameFiles:
-    """The files and the known facts of one frame; the names are those of `threedvc.frame.Frame`."""
+    """The files and the known facts of one frame; the names are those of `threedvc.frame.Frame`.
+
+    Where each object has a mask of its own, `object_masks` names them by label.
+    """
 
     color: Path
     depth: Path
     timestamp_ns: int
     mask: Path | None = None
+    object_masks: Mapping[int, Path] = field(default_factory=dict)
     color_timestamp_ns: int | None = None
     T_world_camera: Pose | None = None
     T_camera_object: Mapping[int, Pose] = field(default_factory=dict)

@@ -15,11 +15,10 @@ from pathlib import Path
 from threedvc.camera import Camera
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
-from threedvc.formats.sources.association import PicturePair, associate, list_pictures, pair_pictures
+from threedvc.formats.sources.association import Pairing, associate, left_out, list_pictures, pair_pictures
 from threedvc.formats.sources.intrinsics import find_cameras, published_camera
 from threedvc.formats.sources.poses import read_trajectory_log
 from threedvc.formats.sources.recording import (
-    DEFAULT_FPS,
     MILLIMETRES,
     FrameFiles,
     Layout,
@@ -28,7 +27,7 @@ from threedvc.formats.sources.recording import (
     chosen_folder,
     first_folder,
 )
-from threedvc.formats.sources.timestamps import fps_of_stamps, regular_stamp
+from threedvc.formats.sources.timestamps import rate_of, regular_stamp
 from threedvc.pose import Pose
 
 __all__ = ["LAYOUT"]
@@ -38,8 +37,6 @@ INTRINSICS_NAMES = ("camera_intrinsic.json", "intrinsic.json", "camera_primesens
 CAMERA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
 STAMPED_NAME = re.compile(r"\d+-(\d+)")
 NANOSECONDS_PER_MICROSECOND = 1000
-
-Stamps = tuple[int, int | None]
 
 
 def recognises(folder: Path) -> bool:
@@ -52,13 +49,14 @@ def recognises(folder: Path) -> bool:
 
 def read(folder: Path, options: SourceOptions) -> Recording:
     """List a Redwood recording; raises SequenceError or ConfigError."""
-    pairs, stamps = _pairs(*_folders(folder, options))
+    pairing = _pairs(*_folders(folder, options))
+    pairs = pairing.pairs
     cameras = find_cameras(folder, options, pairs[0], _intrinsics(folder)) or published_camera(
         CAMERA, pairs[0], nominal="Redwood's sensor"
     )
-    measured = fps_of_stamps([stamp for stamp, _ in stamps], DEFAULT_FPS) if stamps else DEFAULT_FPS
-    fps = options.fps or cameras.fps or measured
-    stamps = stamps or [(regular_stamp(index, fps), None) for index in range(len(pairs))]
+    told = options.fps or cameras.fps
+    rate = rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder))
+    stamps = pairing.stamps or [(regular_stamp(index, rate.fps), None) for index in range(len(pairs))]
     poses = _poses(folder, len(pairs))
     frames = tuple(
         FrameFiles(color=color, depth=depth, timestamp_ns=stamp, color_timestamp_ns=color_stamp, T_world_camera=pose)
@@ -70,8 +68,9 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         cameras,
         options,
         depth_scale=MILLIMETRES,
-        fps=fps,
+        fps=rate.fps,
         poses_from=next(iter(_trajectories(folder)), None),
+        notices=(*pairing.notices, *rate.notices),
     )
 
 
@@ -80,16 +79,18 @@ def _folders(folder: Path, options: SourceOptions) -> tuple[Path, Path]:
     return color, chosen_folder(folder, options.depth, folder / "depth", "--depth")
 
 
-def _pairs(color_folder: Path, depth_folder: Path) -> tuple[Sequence[PicturePair], Sequence[Stamps]]:
+def _pairs(color_folder: Path, depth_folder: Path) -> Pairing:
     colors, depths = list_pictures(color_folder), list_pictures(depth_folder)
     color_stamps, depth_stamps = _name_stamps(colors), _name_stamps(depths)
     if not color_stamps or not depth_stamps:
-        return pair_pictures(color_folder, depth_folder), []
+        return pair_pictures(color_folder, depth_folder)
     matches = associate(color_stamps, depth_stamps)
     if not matches:
         raise SequenceError(f"{color_folder}: no picture within 20 ms of one in {depth_folder}; check the file names")
     pairs = [(colors[i], depths[j]) for i, j in matches]
-    return pairs, [(depth_stamps[j], color_stamps[i]) for i, j in matches]
+    stamps = [(depth_stamps[j], color_stamps[i]) for i, j in matches]
+    notices = left_out(len(colors), len(depths), len(matches), str(depth_folder.parent))
+    return Pairing(pairs, list(range(len(pairs))), stamps, tuple(notices))
 
 
 def _name_stamps(paths: Sequence[Path]) -> list[int]:

@@ -17,8 +17,10 @@ from threedvc.errors import SequenceError
 from threedvc.formats.sources.depth_checks import NO_MEASUREMENT, check_depth
 from threedvc.formats.sources.images import PictureHeader, read_color, read_depth, read_header, read_mask
 from threedvc.formats.sources.intrinsics import REMEDY
+from threedvc.formats.sources.masks import check_masks, merged_labels
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording
+from threedvc.formats.sources.timestamps import check_intervals
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.pose import Pose
 
@@ -64,6 +66,8 @@ class FolderSequence:
             told=recording.depth_scale_told,
             max_depth_m=max_depth_m,
         )
+        self._notices += check_intervals([frame.timestamp_ns for frame in frames], str(recording.folder))
+        self._notices += check_masks([frame.mask for frame in frames if frame.mask], read_mask)
         self._info = SequenceInfo(
             name=recording.folder.resolve().name,
             rig=recording.rig,
@@ -73,7 +77,7 @@ class FolderSequence:
             grey=channels == {1},
             has_camera_poses=all(frame.T_world_camera is not None for frame in frames),
             has_object_poses=any(frame.T_camera_object for frame in frames),
-            has_masks=frames[0].mask is not None,
+            has_masks=frames[0].mask is not None or bool(frames[0].object_masks),
         )
 
     @property
@@ -113,7 +117,7 @@ class FolderSequence:
             timestamp_ns=files.timestamp_ns,
             color=_of_size(rig.color, read_color(files.color), files.color),
             depth=_of_size(rig.depth, self._depth_m(files.depth), files.depth),
-            mask=_of_size(rig.depth, read_mask(files.mask), files.mask) if files.mask else None,
+            mask=self._mask(files),
             T_world_camera=files.T_world_camera,
             T_camera_object=files.T_camera_object,
             color_timestamp_ns=files.color_timestamp_ns,
@@ -141,6 +145,13 @@ class FolderSequence:
             depth[depth > self._max_depth_m] = 0
         return depth
 
+    def _mask(self, files: FrameFiles) -> NDArray[np.uint8] | None:
+        """Return the labels (h, w) of a frame, None where it has none."""
+        if files.object_masks:
+            path = next(iter(files.object_masks.values()))
+            return _of_size(self._recording.rig.depth, merged_labels(files.object_masks, read_mask), path)
+        return _of_size(self._recording.rig.depth, read_mask(files.mask), files.mask) if files.mask else None
+
     def _raw_depth(self, path: Path) -> NDArray[np.uint16]:
         """Return depth in units, 0 where it was not measured."""
         raw = read_depth(path)
@@ -165,13 +176,18 @@ def _check_headers(recording: Recording) -> set[int]:
     colors = _headers([frame.color for frame in frames], (rig.color.width, rig.color.height))
     depth_size = (rig.depth.width, rig.depth.height)
     depths = _headers([frame.depth for frame in frames], depth_size)
-    masks = _headers([frame.mask for frame in frames if frame.mask], depth_size)
+    mask_paths = [path for frame in frames for path in _mask_paths(frame)]
+    masks = _headers(mask_paths, depth_size)
     for frame, color, depth in zip(frames, colors, depths, strict=True):
         _check_kinds(frame, color, depth)
-    for path, mask in zip([frame.mask for frame in frames if frame.mask], masks, strict=True):
+    for path, mask in zip(mask_paths, masks, strict=True):
         if (mask.channels, mask.bits, mask.palette) != (1, 8, False):
             raise SequenceError(f"{path}: mask is {_kind(mask)}, expected 8-bit labels of 1 channel; convert the masks")
     return {header.channels for header in colors}
+
+
+def _mask_paths(frame: FrameFiles) -> list[Path]:
+    return [*([frame.mask] if frame.mask else []), *frame.object_masks.values()]
 
 
 def _headers(paths: Sequence[Path], size: tuple[int, int]) -> list[PictureHeader]:

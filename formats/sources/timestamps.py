@@ -8,16 +8,38 @@ a Unix time.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from itertools import pairwise
 from statistics import median
 
+from threedvc.formats.sources.notices import Notice
+from threedvc.formats.sources.recording import DEFAULT_FPS
 from threedvc.frame import NANOSECONDS
 
-__all__ = ["fps_of_stamps", "parse_nanoseconds", "parse_seconds", "regular_stamp"]
+__all__ = [
+    "INT64_LIMIT",
+    "UNITS",
+    "Rate",
+    "check_intervals",
+    "fps_of_stamps",
+    "parse_nanoseconds",
+    "parse_seconds",
+    "rate_of",
+    "regular_stamp",
+    "unit_of",
+]
 
 INT64_LIMIT = 1 << 63
+UNITS = {"seconds": NANOSECONDS, "milliseconds": 1_000_000, "microseconds": 1000, "nanoseconds": 1}
+SHORTEST_NS, LONGEST_NS = NANOSECONDS // 1000, 5 * NANOSECONDS
+"""Intervals between frames that make sense: a fast camera's, and those of a recording in steps of seconds."""
+COUNTED = 10**7
+INDEX_STEP = 2
+"""Whole numbers that rise by this or less, from a small one on, count frames; they are no clock's."""
+SAME_RATE = 0.05
+"""Cameras keep their nominal rate within a few per cent."""
 
 
 def parse_seconds(text: str) -> int:
@@ -51,6 +73,75 @@ def parse_nanoseconds(text: str) -> int:
 def regular_stamp(index: int, fps: float) -> int:
     """Return the stamp of frame `index` of a regular clock that starts at 0, rounded to a nanosecond."""
     return round(Fraction(index * NANOSECONDS) / Fraction(fps))
+
+
+def unit_of(stamps: Sequence[Decimal], meant: str) -> str | None:
+    """Return the unit that stamps are in, by the intervals that frames of a video can have.
+
+    Parameters
+    ----------
+    stamps
+        In order of time.
+    meant
+        The unit that the format asks for, one of `UNITS`; it is kept where it makes sense, or where nothing else does.
+
+    Returns
+    -------
+    str or None
+        None for stamps that count frames.
+    """
+    steps = [later - earlier for earlier, later in pairwise(stamps) if later > earlier]
+    whole = all(stamp == stamp.to_integral_value() for stamp in stamps)
+    if not steps:
+        return meant
+    step = median(steps)
+    if whole and step <= INDEX_STEP and abs(stamps[0]) < COUNTED:
+        return None
+    fitting = [unit for unit in (meant, *UNITS) if SHORTEST_NS <= step * UNITS[unit] <= LONGEST_NS]
+    return fitting[0] if fitting else meant
+
+
+@dataclass(frozen=True)
+class Rate:
+    """The frame rate of a recording, and what was decided about it."""
+
+    fps: float
+    notices: tuple[Notice, ...] = ()
+
+
+def rate_of(stamps: Sequence[int], told: float | None, place: str) -> Rate:
+    """Settle the frame rate of a recording with time stamps: what was told, if the stamps agree with it.
+
+    Parameters
+    ----------
+    stamps
+        Times of the frames in nanoseconds.
+    told
+        Rate by the user or the recording, or None.
+    place
+        File of the stamps, for messages.
+    """
+    duration = stamps[-1] - stamps[0] if stamps else 0
+    if duration <= 0:
+        return Rate(told or DEFAULT_FPS)
+    mean = round((len(stamps) - 1) * NANOSECONDS / duration, 3) or (len(stamps) - 1) * NANOSECONDS / duration
+    nominal = told or fps_of_stamps(stamps, mean)
+    if abs(nominal - mean) <= SAME_RATE * mean:
+        return Rate(nominal)
+    if told is None:
+        return Rate(mean)
+    text = f"{place}: its stamps are those of {mean:g} frames per second, not {told:g}; the stamps are used"
+    return Rate(mean, (Notice(text, warning=True),))
+
+
+def check_intervals(stamps: Sequence[int], place: str) -> list[Notice]:
+    """Return a doubt about times (nanoseconds) that are no video's."""
+    steps = [later - earlier for earlier, later in pairwise(stamps)]
+    typical = median(steps) if steps else SHORTEST_NS
+    if SHORTEST_NS / 5 <= typical <= LONGEST_NS:
+        return []
+    between = f"{typical / NANOSECONDS:.3g} s" if typical >= SHORTEST_NS else f"{typical:g} ns"
+    return [Notice(f"{place}: {between} between frames; check the unit of the times, or give --fps", warning=True)]
 
 
 def fps_of_stamps(stamps: Sequence[int], default: float) -> float:

@@ -12,13 +12,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from threedvc.camera import Camera
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
-from threedvc.formats.sources.association import associate
+from threedvc.formats.sources.association import associate, left_out
 from threedvc.formats.sources.intrinsics import find_cameras, published_camera
+from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.poses import interpolate_pose, pose_from_row
 from threedvc.formats.sources.recording import (
     DEFAULT_FPS,
@@ -28,7 +30,7 @@ from threedvc.formats.sources.recording import (
     SourceOptions,
 )
 from threedvc.formats.sources.text import Row, read_rows, read_text
-from threedvc.formats.sources.timestamps import fps_of_stamps, parse_seconds
+from threedvc.formats.sources.timestamps import INT64_LIMIT, UNITS, rate_of, regular_stamp, unit_of
 from threedvc.pose import Pose
 
 __all__ = ["DEPTH_SCALE", "LAYOUT"]
@@ -79,10 +81,11 @@ def recognises(folder: Path) -> bool:
 
 def read(folder: Path, options: SourceOptions) -> Recording:
     """List a TUM RGB-D sequence; raises SequenceError or ConfigError."""
-    pairs = _pairs(folder)
-    first = (pairs[0].color, pairs[0].depth)
+    told = options.fps
+    listed, notices = _pairs(folder, told or DEFAULT_FPS)
+    first = (listed[0].color, listed[0].depth)
     cameras = find_cameras(folder, options, first) or published_camera(_known_camera(folder), first)
-    stamps, poses = _ground_truth(folder / GROUND_TRUTH)
+    stamps, poses = _ground_truth(folder / GROUND_TRUTH, told or DEFAULT_FPS)
     frames = tuple(
         FrameFiles(
             color=pair.color,
@@ -91,58 +94,103 @@ def read(folder: Path, options: SourceOptions) -> Recording:
             color_timestamp_ns=pair.color_stamp,
             T_world_camera=interpolate_pose(stamps, poses, pair.depth_stamp),
         )
-        for pair in pairs
+        for pair in listed
     )
-    fps = options.fps or cameras.fps or fps_of_stamps([frame.timestamp_ns for frame in frames], DEFAULT_FPS)
+    rate = rate_of([frame.timestamp_ns for frame in frames], told or cameras.fps, str(folder))
     return assemble(
-        folder, frames, cameras, options, depth_scale=DEPTH_SCALE, fps=fps, poses_from=folder / GROUND_TRUTH
+        folder,
+        frames,
+        cameras,
+        options,
+        depth_scale=DEPTH_SCALE,
+        fps=rate.fps,
+        poses_from=folder / GROUND_TRUTH,
+        notices=(*notices, *rate.notices),
     )
 
 
-def _pairs(folder: Path) -> list[StampedPair]:
+def _pairs(folder: Path, fps: float) -> tuple[list[StampedPair], list[Notice]]:
+    """Return the pairs in order of time; frames that are counted get the times of a regular clock."""
     if any(folder.glob(ASSOCIATIONS)):
-        pairs = [_association(folder, row) for row in read_rows(min(folder.glob(ASSOCIATIONS)))]
+        pairs, notices = _associations(min(folder.glob(ASSOCIATIONS)), fps)
     else:
-        colors, depths = _stamped_paths(folder / "rgb.txt"), _stamped_paths(folder / "depth.txt")
-        matches = associate([stamp for stamp, _ in colors], [stamp for stamp, _ in depths])
-        pairs = [StampedPair(*colors[i], *depths[j]) for i, j in matches]
+        colors, depths = (_stamped_paths(folder / name, fps) for name in ("rgb.txt", "depth.txt"))
+        matches = associate([stamp for stamp, _ in colors.paths], [stamp for stamp, _ in depths.paths])
+        pairs = [StampedPair(*colors.paths[i], *depths.paths[j]) for i, j in matches]
+        notices = [*depths.notices, *left_out(len(colors.paths), len(depths.paths), len(pairs), str(folder))]
     if not pairs:
         raise SequenceError(f"{folder}: no colour picture within 20 ms of a depth picture; check rgb.txt and depth.txt")
-    return sorted(pairs, key=lambda pair: pair.depth_stamp)
+    return sorted(pairs, key=lambda pair: pair.depth_stamp), notices
 
 
-def _association(folder: Path, row: Row) -> StampedPair:
-    """Read one line: a stamp and a path for colour and for depth, in either order."""
-    names_depth = ["depth" in field.lower() for field in row.fields[1::2]]
-    if len(row.fields) != 4 or sorted(names_depth) != [False, True]:
-        raise SequenceError(f"{row.place}: expected stamp, colour path, stamp, depth path; correct the line")
-    stamped = [(_stamp(row.fields[column], row.place), folder / row.fields[column + 1]) for column in (0, 2)]
-    depth, color = stamped if names_depth[0] else reversed(stamped)
-    return StampedPair(*color, *depth)
+def _associations(path: Path, fps: float) -> tuple[list[StampedPair], list[Notice]]:
+    """Read lines of a stamp and a path for colour and for depth, in either order."""
+    rows = read_rows(path)
+    columns: list[list[tuple[Decimal, Path]]] = [[], []]
+    for row in rows:
+        names_depth = ["depth" in field.lower() for field in row.fields[1::2]]
+        if len(row.fields) != 4 or sorted(names_depth) != [False, True]:
+            raise SequenceError(f"{row.place}: expected stamp, colour path, stamp, depth path; correct the line")
+        stamped = [(_stamp(row.fields[at], row.place), path.parent / row.fields[at + 1]) for at in (0, 2)]
+        depth, color = stamped if names_depth[0] else reversed(stamped)
+        columns[0].append(color)
+        columns[1].append(depth)
+    unit, notices = _unit([stamp for stamp, _ in columns[1]], path, fps)
+    return [
+        StampedPair(_nanoseconds(a, unit, fps), color, _nanoseconds(b, unit, fps), depth)
+        for (a, color), (b, depth) in zip(*columns, strict=True)
+    ], notices
 
 
-def _stamped_paths(path: Path) -> list[tuple[int, Path]]:
+@dataclass(frozen=True)
+class _StampedPaths:
+    """Pictures of one list with their times in nanoseconds, in order, and what was decided about these."""
+
+    paths: list[tuple[int, Path]]
+    notices: list[Notice]
+
+
+def _stamped_paths(path: Path, fps: float) -> _StampedPaths:
     rows = read_rows(path)
     for row in rows:
         if len(row.fields) != 2:
             raise SequenceError(f"{row.place}: expected a stamp and a path; correct the line")
-    return sorted((_stamp(row.fields[0], row.place), path.parent / row.fields[1]) for row in rows)
+    stamped = sorted((_stamp(row.fields[0], row.place), path.parent / row.fields[1]) for row in rows)
+    unit, notices = _unit([stamp for stamp, _ in stamped], path, fps)
+    return _StampedPaths([(_nanoseconds(stamp, unit, fps), picture) for stamp, picture in stamped], notices)
 
 
-def _stamp(text: str, place: str) -> int:
-    """Return decimal seconds in nanoseconds; raises SequenceError naming the place."""
+def _unit(stamps: Sequence[Decimal], path: Path, fps: float) -> tuple[str | None, list[Notice]]:
+    """Return the unit of stamps; None where they count frames. The benchmark's own are seconds: others are told."""
+    unit = unit_of(sorted(stamps), "seconds")
+    if unit is None:
+        return None, [Notice(f"{path}: its stamps count frames; they are taken to be {fps:g} per second")]
+    return unit, [] if unit == "seconds" else [Notice(f"{path}: its stamps are taken for {unit}")]
+
+
+def _stamp(text: str, place: str) -> Decimal:
+    """Return a decimal number; raises SequenceError naming the place."""
     try:
-        return parse_seconds(text)
-    except ValueError as error:
-        raise SequenceError(f"{place}: {error}; correct the line") from None
+        stamp = Decimal(text)
+    except InvalidOperation:
+        stamp = Decimal("NaN")
+    if not stamp.is_finite() or abs(stamp) >= INT64_LIMIT:
+        raise SequenceError(f"{place}: {text!r} is not a time in seconds within 292 years; correct the line")
+    return stamp
 
 
-def _ground_truth(path: Path) -> tuple[list[int], list[Pose]]:
+def _nanoseconds(stamp: Decimal, unit: str | None, fps: float) -> int:
+    """Return a stamp in nanoseconds; one that counts frames on a regular clock."""
+    return regular_stamp(int(stamp), fps) if unit is None else int((stamp * UNITS[unit]).to_integral_value())
+
+
+def _ground_truth(path: Path, fps: float) -> tuple[list[int], list[Pose]]:
     if not path.is_file():
         return [], []
     poses = {_stamp(row.fields[0], row.place): pose_from_row(row) for row in _ground_truth_rows(path)}
-    ordered: Sequence[int] = sorted(poses)
-    return list(ordered), [poses[stamp] for stamp in ordered]
+    ordered = sorted(poses)
+    unit, _ = _unit(ordered, path, fps)
+    return [_nanoseconds(stamp, unit, fps) for stamp in ordered], [poses[stamp] for stamp in ordered]
 
 
 def _ground_truth_rows(path: Path) -> list[Row]:

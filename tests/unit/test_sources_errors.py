@@ -104,16 +104,16 @@ def test_empty_color_folder(recording: Path) -> None:
 def test_color_without_depth(recording: Path) -> None:
     (recording / "depth" / "000002.png").unlink()
     assert message(recording) == (
-        f"{recording / 'color' / '000002.png'}: has no depth picture in {recording / 'depth'}; "
-        "add the missing picture or remove this one"
+        f"{recording / 'color' / '000002.png'}: has no depth picture in {recording / 'depth'} "
+        "(4 colour and 3 depth pictures); add the missing picture or remove this one"
     )
 
 
 def test_depth_without_color(recording: Path) -> None:
     (recording / "color" / "000001.png").unlink()
     assert message(recording) == (
-        f"{recording / 'depth' / '000001.png'}: has no colour picture in {recording / 'color'}; "
-        "add the missing picture or remove this one"
+        f"{recording / 'depth' / '000001.png'}: has no colour picture in {recording / 'color'} "
+        "(3 colour and 4 depth pictures); add the missing picture or remove this one"
     )
 
 
@@ -129,8 +129,8 @@ def test_counts_that_do_not_pair(recording: Path) -> None:
         (recording / "depth" / f"{k:06d}.png").rename(recording / "depth" / f"{k + 90:06d}.png")
     (recording / "depth" / "000003.png").unlink()
     assert message(recording) == (
-        f"{recording / 'color'}: 4 pictures do not pair with the 3 in {recording / 'depth'}; "
-        "give the two pictures of a frame the same number"
+        f"{recording / 'color' / '000000.png'}: has no depth picture in {recording / 'depth'}, and "
+        "000090.png there no colour picture (4 colour and 3 depth pictures, 0 of their names agree); give the two pictures of a frame the same number"
     )
 
 
@@ -520,10 +520,10 @@ def test_bad_timestamps(recording: Path, line: str, expected: str) -> None:
 
 
 def test_timestamps_are_exact(recording: Path) -> None:
-    start = 1_700_000_000_123_456_789
-    write_lines(recording / "timestamps.txt", [f"{k} {start + k} {start - k}" for k in range(FRAMES)])
+    start, step = 1_700_000_000_123_456_789, 33_333_333
+    write_lines(recording / "timestamps.txt", [f"{k} {start + k * step} {start - k}" for k in range(FRAMES)])
     sequence = open_sequence(recording)
-    assert [frame.timestamp_ns - start for frame in sequence] == [0, 1, 2, 3]
+    assert [frame.timestamp_ns - start for frame in sequence] == [0, step, 2 * step, 3 * step]
     assert [frame.color_timestamp_ns for frame in sequence] == [start, start - 1, start - 2, start - 3]
 
 
@@ -618,7 +618,7 @@ def test_icl_nuim_with_two_trajectories(recording: Path) -> None:
 @pytest.mark.parametrize(
     ("rgb", "expected"),
     [
-        ("1305x rgb/a.png", "{path}:1: '1305x' is not a time in seconds; correct the line"),
+        ("1305x rgb/a.png", "{path}:1: '1305x' is not a time in seconds within 292 years; correct the line"),
         ("1305 rgb/a.png more", "{path}:1: expected a stamp and a path; correct the line"),
         ("1e400 rgb/a.png", "{path}:1: '1e400' is not a time in seconds within 292 years; correct the line"),
         (

@@ -240,10 +240,10 @@ def test_redwood_with_stamped_names(tmp_path: Path) -> None:
     assert not sequence.info.has_camera_poses
 
 
-def test_bare_folders_are_paired_in_order(tmp_path: Path) -> None:
+def test_bare_folders_are_paired_by_number(tmp_path: Path) -> None:
     for k, pose in enumerate(poses(FRAMES)):
         write_picture(tmp_path / "left" / f"shot{8 + k}.png", color_picture(SMALL, pose))
-        write_picture(tmp_path / "range" / f"z{20 + k}.png", depth_picture(SMALL, pose, 2000))
+        write_picture(tmp_path / "range" / f"z{8 + k:04d}.png", depth_picture(SMALL, pose, 2000))
     sequence = open_sequence(
         tmp_path, color="left", depth=tmp_path / "range", intrinsics="60,61,31,24.5", depth_scale=2000, fps=10
     )
