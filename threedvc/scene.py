@@ -49,6 +49,11 @@ AWAY_M = 1000.0
 AWAY = make_pose(np.eye(3), np.array([0.0, 0.0, -AWAY_M]))
 PASSING_CELLS = 2.0
 """By how much wider the cells are of what is there for a moment."""
+SETTLING_SHARE = 0.01
+"""Share of a frame's pixels with depth from which on it tells the sensor and the size of cells: cameras begin with
+frames of none, or of specks, until their exposure has settled."""
+RESIZED = 4
+"""Cells of a background that no such frame has shown are chosen anew where another has so many times the depth."""
 METERED_FRAMES = 12
 """Frames after which a live encoder settles what sensor it has."""
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
@@ -90,6 +95,8 @@ class SceneObject:
         first one.
     born
         First frame in which it was found.
+    sized_by
+        Number of pixels of the frame that its cells were chosen by.
     passing
         Whether it stands for things that are there for a moment.
     """
@@ -102,8 +109,16 @@ class SceneObject:
         self.found: list[Located | None] = []
         self.poses: list[Pose] = []
         self.born: int | None = None
+        self.sized_by = 0
         self._stayed = 0, True
         self._last_sight = np.zeros(0, dtype=np.int64)
+
+    def begin_anew(self, voxel_size_m: float, pixels: int) -> None:
+        """Take other cells, chosen by a frame that shows `pixels` of the object, and forget what the old ones held."""
+        self.evidence = EvidenceModel(voxel_size_m)
+        self.entropy = EntropyMeter(self.evidence)
+        self._last_sight = np.zeros(0, dtype=np.int64)
+        self.sized_by = pixels
 
     def locate(self, sights: Sequence[Sight], rigs: Sequence[CameraRig], alone: bool) -> Located | None:
         """Find the object in the frames of a moment; None where it is not seen and its pose is not known."""
@@ -224,6 +239,7 @@ class Scene:
         self._noise: dict[int, SensorModel] = {}
         self._meters: dict[int, NoiseMeter] = {}
         self._live_factor: float | None = None
+        self._settling = True
         self.distance_m = 0.0
 
     @property
@@ -270,7 +286,8 @@ class Scene:
         """Check a frame, and take in what does not depend on where objects are."""
         check_frame(frame, self.info)
         frame = self.limited(frame)
-        if frame.sensor not in self._noise:
+        settling = not _shows_much(frame)
+        if frame.sensor not in self._noise and not settling:
             self._noise[frame.sensor] = chosen_sensor(self.config.sensor_of(frame.sensor), frame.depth)
             frame = self.limited(frame)
         self.sensors.append(frame.sensor)
@@ -279,10 +296,11 @@ class Scene:
         self.repeated.append(before is not None and _same_pictures(frame, before))
         self._before[frame.sensor] = frame
         self.blind.append(not frame.depth.any())
-        if not self.distance_m and frame.depth.any():
+        if frame.depth.any() and (not self.distance_m or (self._settling and not settling)):
             self.distance_m = float(np.median(frame.depth[frame.depth > 0]))
+        self._settling = self._settling and settling
         labels = self.labels(frame)
-        if self._live_factor is None:
+        if self._live_factor is None and not settling:
             self._live_factor = self._rated_factor(frame, labels)
         last = self.frame_before(len(self.gains))
         self.gains.append(NEUTRAL if last is None else self.gains[last])
@@ -453,20 +471,17 @@ class Scene:
 
     def _object(self, number: int, sights: Sequence[Sight]) -> SceneObject | None:
         """Return an object, new where enough pixels of a frame show it for the first time."""
-        if number in self.objects:
-            return self.objects[number]
-        shown = [np.count_nonzero(mask & (views.frame.depth > 0)) for views, mask in sights]
+        shown = [int(np.count_nonzero(mask & (views.frame.depth > 0))) for views, mask in sights]
         views, mask = sights[int(np.argmax(shown))]
+        tracked = not self._stands_still(number) and self._is_tracked(number)
+        if number in self.objects:
+            item = self.objects[number]
+            if not number and self._outgrows(item, max(shown), views.frame):
+                item.begin_anew(self._cell_size(number, views, mask, tracked=tracked), max(shown))
+            return item
         if number and max(shown) < MIN_PIXELS:
             return None
-        tracked = not self._stands_still(number) and self._is_tracked(number)
-        size = self.config.voxel_size_m
-        if size is None:
-            size = default_voxel_size(views.frame.depth, mask, views.rig)
-            if number == 0 and not tracked and not self.info.has_camera_poses and not self.config.causal:
-                size *= BACKDROP_CELLS
-            size *= self.config.cell_factor * (self._live_factor or 1.0)
-            size = max(round(size, 4), MIN_VOXEL_SIZE_M)
+        size = self._cell_size(number, views, mask, tracked=tracked)
         tracker = None
         passing = self.division is not None and number in PASSING_NUMBERS
         if passing:
@@ -481,7 +496,23 @@ class Scene:
                 patience=max(MIN_PATIENCE, round(self.info.fps)),
             )
         self.objects[number] = SceneObject(number, size, tracker, passing=passing)
+        self.objects[number].sized_by = max(shown)
         return self.objects[number]
+
+    def _cell_size(self, number: int, views: FrameViews, mask: NDArray[np.bool_], *, tracked: bool) -> float:
+        """Return the edge of the cells of an object that a frame shows at `mask` (h, w): asked for, or as fits it."""
+        if self.config.voxel_size_m is not None:
+            return self.config.voxel_size_m
+        size = default_voxel_size(views.frame.depth, mask, views.rig)
+        if number == 0 and not tracked and not self.info.has_camera_poses and not self.config.causal:
+            size *= BACKDROP_CELLS
+        size *= self.config.cell_factor * (self._live_factor or 1.0)
+        return max(round(size, 4), MIN_VOXEL_SIZE_M)
+
+    def _outgrows(self, item: SceneObject, shown: int, frame: Frame) -> bool:
+        """Tell whether a frame shows so much more of the background than those before that its cells follow from it."""
+        chosen_by_specks = item.sized_by < SETTLING_SHARE * frame.depth.size and self.config.voxel_size_m is None
+        return chosen_by_specks and shown >= max(RESIZED * item.sized_by, MIN_PIXELS)
 
     def _is_tracked(self, number: int) -> bool:
         """Objects found by their motion bear no relation to the poses that the input may have."""
@@ -521,6 +552,11 @@ class Scene:
         numbers = fuse(item.evidence, seen, mask, pose, sensor, self.config.fusion, self.config.threads)
         item.entropy.update(numbers, self.config.threads)
         item.note_sight(numbers, seen.frame)
+
+
+def _shows_much(frame: Frame) -> bool:
+    """Tell whether a frame has depth on enough of its pixels to tell what sensor and scene there are."""
+    return bool(np.count_nonzero(frame.depth) >= SETTLING_SHARE * frame.depth.size)
 
 
 def _displacement(T: Pose, distance_m: float) -> float:

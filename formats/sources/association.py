@@ -211,10 +211,10 @@ def _require_partners(colors: NamedPictures, depths: NamedPictures) -> None:
         return
     counts = f"{len(colors.pictures)} colour and {len(depths.pictures)} depth pictures"
     if no_depth and no_color:
+        agree = len(colors.pictures) - len(no_depth)
         raise SequenceError(
-            f"{no_depth[0]}: has no depth picture in {depths.folder}, and {no_color[0].name} there no colour "
-            f"picture ({counts}, {len(colors.pictures) - len(no_depth)} of their names agree); give the two pictures of a frame "
-            "the same number"
+            f"{no_depth[0]}: has no depth picture in {depths.folder}, and {no_color[0].name} there no colour picture "
+            f"({counts}, {agree} of their names agree); give the two pictures of a frame the same number"
         )
     if no_depth:
         raise SequenceError(

@@ -125,12 +125,13 @@ def test_two_pictures_of_one_frame(recording: Path) -> None:
 
 
 def test_counts_that_do_not_pair(recording: Path) -> None:
+    color, depth = recording / "color", recording / "depth"
     for k in range(FRAMES - 1):
-        (recording / "depth" / f"{k:06d}.png").rename(recording / "depth" / f"{k + 90:06d}.png")
-    (recording / "depth" / "000003.png").unlink()
+        (depth / f"{k:06d}.png").rename(depth / f"{k + 90:06d}.png")
+    (depth / "000003.png").unlink()
     assert message(recording) == (
-        f"{recording / 'color' / '000000.png'}: has no depth picture in {recording / 'depth'}, and "
-        "000090.png there no colour picture (4 colour and 3 depth pictures, 0 of their names agree); give the two pictures of a frame the same number"
+        f"{color / '000000.png'}: has no depth picture in {depth}, and 000090.png there no colour picture "
+        "(4 colour and 3 depth pictures, 0 of their names agree); give the two pictures of a frame the same number"
     )
 
 
