@@ -192,7 +192,7 @@ def _interval(times_ns: Sequence[int]) -> str:
 
 def left_out(colors: int, depths: int, pairs: int, place: str) -> list[Notice]:
     """Tell how many pictures have no partner in time, if any."""
-    alone = colors + depths - 2 * pairs
+    alone = max(colors, depths) - pairs
     if not alone:
         return []
     return [

@@ -29,7 +29,7 @@ from threedvc.formats.sources.recording import (
     Recording,
     SourceOptions,
 )
-from threedvc.formats.sources.text import Row, read_rows, read_text
+from threedvc.formats.sources.text import Row, read_lines, read_rows, read_text
 from threedvc.formats.sources.timestamps import INT64_LIMIT, UNITS, rate_of, regular_stamp, unit_of
 from threedvc.pose import Pose
 
@@ -38,6 +38,8 @@ __all__ = ["DEPTH_SCALE", "LAYOUT"]
 DEPTH_SCALE = 5000.0
 ASSOCIATIONS = "assoc*.txt"
 GROUND_TRUTH = "groundtruth.txt"
+HEADING = re.compile(r"[A-Za-z_]")
+"""A first line that begins so names the columns."""
 GLUED_ROW = re.compile(r"#.*?qw\s*([-+\d].*)")
 
 CAMERAS = {
@@ -131,7 +133,7 @@ def _associations(path: Path, fps: float) -> tuple[list[StampedPair], list[Notic
         names_depth = ["depth" in field.lower() for field in row.fields[1::2]]
         if len(row.fields) != 4 or sorted(names_depth) != [False, True]:
             raise SequenceError(f"{row.place}: expected stamp, colour path, stamp, depth path; correct the line")
-        stamped = [(_stamp(row.fields[at], row.place), path.parent / row.fields[at + 1]) for at in (0, 2)]
+        stamped = [(_stamp(row.fields[at], row.place), path.parent / _path(row.fields[at + 1])) for at in (0, 2)]
         depth, color = stamped if names_depth[0] else reversed(stamped)
         columns[0].append(color)
         columns[1].append(depth)
@@ -151,13 +153,22 @@ class _StampedPaths:
 
 
 def _stamped_paths(path: Path, fps: float) -> _StampedPaths:
-    rows = read_rows(path)
-    for row in rows:
-        if len(row.fields) != 2:
-            raise SequenceError(f"{row.place}: expected a stamp and a path; correct the line")
-    stamped = sorted((_stamp(row.fields[0], row.place), path.parent / row.fields[1]) for row in rows)
+    stamped = []
+    for number, line in read_lines(path):
+        place = f"{path}:{number}"
+        stamp, _, name = line.replace("\t", " ").partition("," if "," in line else " ")
+        if not name.strip():
+            raise SequenceError(f"{place}: expected a stamp and a path; correct the line")
+        if stamped or not HEADING.match(stamp):
+            stamped.append((_stamp(stamp.strip(), place), path.parent / _path(name)))
+    stamped.sort()
     unit, notices = _unit([stamp for stamp, _ in stamped], path, fps)
     return _StampedPaths([(_nanoseconds(stamp, unit, fps), picture) for stamp, picture in stamped], notices)
+
+
+def _path(text: str) -> str:
+    """Return the path of a list: quoted, with backslashes as on Windows, or with spaces in it."""
+    return text.strip().strip("\"'").replace("\\", "/")
 
 
 def _unit(stamps: Sequence[Decimal], path: Path, fps: float) -> tuple[str | None, list[Notice]]:
