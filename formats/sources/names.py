@@ -2,8 +2,8 @@
 """What the numbers in the file names of a folder mean: the number of a frame, or its time.
 
 Groups of digits are columns. A column that is the same in all names says nothing (``take1_rgb_0001.png``). What is left
-is a frame's number, or a time: decimal seconds (``5.033.png``), or integers that only make sense as nano-, micro- or
-milliseconds of a video.
+is a frame's number, or a time: decimal seconds (``5.033.png``), seconds and nanoseconds (``1700000000_033333333.png``),
+or integers that only make sense as nano-, micro- or milliseconds of a video.
 """
 
 from __future__ import annotations
@@ -15,28 +15,38 @@ from decimal import Decimal
 from itertools import pairwise
 from math import gcd
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 from typing import TypeAlias
 
 from threedvc.errors import SequenceError
 from threedvc.frame import NANOSECONDS
 
-__all__ = ["Key", "NamedPictures", "named_pictures", "ticks_of", "unit_name"]
+__all__ = ["Key", "NamedPictures", "named_pictures", "numbers_in", "ticks_of", "unit_name"]
 
 Key: TypeAlias = tuple[int, ...]
 
 DECIMAL = re.compile(r"\d+\.\d+|\d+")
 WHOLE = re.compile(r"\d+")
-UNITS = {1: "nanoseconds", 1_000: "microseconds", 1_000_000: "milliseconds", NANOSECONDS: "seconds"}
-SHORTEST_NS, LONGEST_NS = NANOSECONDS // 1000, 2 * NANOSECONDS
-"""Intervals between frames that make a video: 1000 frames a second to one in two seconds."""
-TYPICAL_NS = NANOSECONDS // 30
-CLOCK_DIGITS = 10
-"""Seconds since 1970 have ten digits: no recording has as many frames."""
+MILLISECOND_NS = 1_000_000
+UNITS = {NANOSECONDS: "seconds", MILLISECOND_NS: "milliseconds", 1_000: "microseconds", 1: "nanoseconds"}
+SHORTEST_NS, LONGEST_NS = NANOSECONDS // 500, 2 * NANOSECONDS
+"""Intervals between frames that make a video: 500 frames a second to one in two seconds; a factor of 1000, so that one
+unit fits at most."""
+INT64_LIMIT = 1 << 63
+EPOCH_S = (10**9, 43 * 10**8)
+"""Seconds since 1970 of the years 2001 to 2106: no recording has as many frames."""
+EPOCH_STEP_S = 5
+"""Steps of such numbers up to which they are seconds; larger ones are milliseconds of a clock that runs for days."""
 CLOCK_STEP = 1000
 """Steps of a frame's number that are this large would be a recording that kept every thousandth frame."""
 LEAST_MILLISECONDS = 8
-"""Milliseconds that are rounded step by two neighbouring numbers in turns: 33 and 34, at most 8 and 9."""
+"""Milliseconds of 120 frames a second are 8 and 9 apart; faster cameras cannot be told from left-out frames."""
+JITTER = 0.2
+REGULAR_SHARE = 0.9
+"""Clocks tick within 20 % of their interval, or of a multiple where frames were lost, in nine of ten cases."""
+RATES = (5, 6, 7.5, 10, 12, 12.5, 15, 20, 24, 25, 30, 45, 48, 50, 60, 75, 90, 100, 120)
+SAME_RATE = 0.03
+NANOSECOND_DIGITS, MICROSECOND_DIGITS = 9, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +61,14 @@ class NamedPictures:
         By their numbers, in order: one number each where one tells them apart.
     unit_ns
         Nanoseconds that a step of the number stands for, where the names are times; None where they are not.
+    in_seconds
+        Whether the names are decimal seconds, or seconds and nanoseconds; the numbers are nanoseconds then.
     """
 
     folder: Path
     pictures: dict[Key, Path]
     unit_ns: int | None = None
+    in_seconds: bool = False
 
     @property
     def times_ns(self) -> list[int]:
@@ -70,37 +83,60 @@ def named_pictures(folder: Path, paths: Sequence[Path]) -> NamedPictures:
     Raises
     ------
     SequenceError
-        If the names do not tell two files apart.
+        If the names do not tell two files apart, or several numbers in them could be that of the frame.
     """
-    seconds = _decimal_seconds(paths)
-    if seconds is not None:
-        return NamedPictures(folder, _by_key(paths, [(stamp,) for stamp in seconds]), 1)
-    keys = _telling_columns([tuple(map(int, WHOLE.findall(path.stem))) for path in paths])
-    pictures = _by_key(paths, keys)
+    decimals = _decimal_times(paths)
+    if decimals is not None:
+        stamps, in_seconds = decimals
+        return NamedPictures(folder, _by_key(paths, [(stamp,) for stamp in stamps]), 1, in_seconds)
+    stems = [path.stem for path in paths]
+    pictures = _by_key(paths, _telling_columns(paths, [tuple(map(int, WHOLE.findall(stem))) for stem in stems]))
     single = all(len(key) == 1 for key in pictures)
     return NamedPictures(folder, pictures, ticks_of([key[0] for key in pictures]) if single else None)
+
+
+def numbers_in(stem: str) -> list[Decimal]:
+    """Return the numbers in a name, decimal where they have a point between digits."""
+    return [Decimal(number) for number in DECIMAL.findall(stem)]
 
 
 def ticks_of(numbers: Sequence[int]) -> int | None:
     """Return the nanoseconds of a step if increasing numbers are times, None if they count frames.
 
     Numbers that are neither large nor far apart count frames, with gaps where some were left out; but those that step
-    by two neighbouring numbers in turns, 0 33 67 100, are rounded milliseconds.
+    as a clock does whose milliseconds were rounded, 0 33 67 100, are milliseconds.
     """
     steps = [later - earlier for earlier, later in pairwise(numbers) if later > earlier]
     if not steps:
         return None
-    step = median(steps)
-    if numbers[-1] >= 10 ** (CLOCK_DIGITS - 1) or step >= CLOCK_STEP:
-        fitting = [unit for unit in UNITS if SHORTEST_NS <= step * unit <= LONGEST_NS]
-        return min(fitting, key=lambda unit: max(step * unit / TYPICAL_NS, TYPICAL_NS / (step * unit)), default=None)
-    near = min(steps) >= LEAST_MILLISECONDS and max(steps) == min(steps) + 1 and gcd(*steps) == 1
-    return NANOSECONDS // 1000 if near and len(steps) > 1 else None
+    if numbers[-1] >= EPOCH_S[0] or median(steps) >= CLOCK_STEP:
+        return _fitting_unit(median(steps), numbers[-1])
+    return MILLISECOND_NS if _is_clock_of_milliseconds(steps) else None
 
 
 def unit_name(unit_ns: int) -> str:
     """Return what a unit of so many nanoseconds is called."""
     return UNITS[unit_ns]
+
+
+def _fitting_unit(step: float | Decimal, largest: int | Decimal) -> int | None:
+    """Return the unit in nanoseconds in which a typical step is the interval of a video's frames."""
+    if EPOCH_S[0] <= largest < EPOCH_S[1] and step <= EPOCH_STEP_S and step * NANOSECONDS >= SHORTEST_NS:
+        return NANOSECONDS
+    fitting = (unit for unit in UNITS if SHORTEST_NS <= step * unit <= LONGEST_NS and largest * unit < INT64_LIMIT)
+    return next(fitting, None)
+
+
+def _is_clock_of_milliseconds(steps: Sequence[int]) -> bool:
+    """Tell whether steps are those of a camera's clock: nearly regular, at a usual rate, but not in whole strides."""
+    typical = median(steps)
+    if typical < LEAST_MILLISECONDS or len(steps) < 2 or gcd(*steps) > max(1, typical / 2):
+        return False
+    tolerance = max(1.0, JITTER * typical)
+    near = [step for step in steps if abs(step - max(1, round(step / typical)) * typical) <= tolerance]
+    interval = mean(step for step in steps if abs(step - typical) <= tolerance)
+    usual = any(abs(1000 / interval - rate) <= SAME_RATE * rate for rate in RATES)
+    return usual and len(near) >= REGULAR_SHARE * len(steps)
 
 
 def _by_key(paths: Sequence[Path], keys: Sequence[Key]) -> dict[Key, Path]:
@@ -112,23 +148,70 @@ def _by_key(paths: Sequence[Path], keys: Sequence[Key]) -> dict[Key, Path]:
     return pictures
 
 
-def _telling_columns(keys: Sequence[Key]) -> list[Key]:
-    """Return the numbers of each name without those that are the same in all."""
-    if len(keys) < 2 or len({len(key) for key in keys}) != 1:
+def _telling_columns(paths: Sequence[Path], keys: Sequence[Key]) -> list[Key]:
+    """Return the number of each name that is its frame's: not the same in all, and the only one that is not."""
+    if len(keys) < 2:
         return list(keys)
+    for path, key in zip(paths, keys, strict=True):
+        if len(key) != len(keys[0]):
+            raise SequenceError(
+                f"{path}: has {_count(key)} in its name and {paths[0].name} has {_count(keys[0])}: which is that of "
+                "the frame? name all alike, or move what is no frame elsewhere"
+            )
     columns = [column for column in zip(*keys, strict=True) if len(set(column)) > 1]
+    if len(columns) > 1:
+        return [(number,) for number in _one_of(paths, columns)]
     return list(zip(*columns, strict=True)) if columns else list(keys)
 
 
-def _decimal_seconds(paths: Sequence[Path]) -> list[int] | None:
-    """Return the times in nanoseconds of files that are named by decimal seconds, else None."""
+def _count(key: Key) -> str:
+    return "one number" if len(key) == 1 else f"{len(key) or 'no'} numbers"
+
+
+def _one_of(paths: Sequence[Path], columns: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
+    """Return the times, else the first, of several columns that put the files in one order."""
+    order = sorted(range(len(paths)), key=lambda row: columns[0][row])
+    for column in columns:
+        if any(column[later] <= column[earlier] for earlier, later in pairwise(order)):
+            first, last = paths[order[0]], paths[order[-1]]
+            raise SequenceError(
+                f"{last}: {len(columns)} numbers change from name to name ({first.name}, {last.name}): which is that "
+                "of the frame? rename the files to one number (000012.png)"
+            )
+    return next((each for each in columns if ticks_of([each[row] for row in order]) is not None), columns[0])
+
+
+def _decimal_times(paths: Sequence[Path]) -> tuple[list[int], bool] | None:
+    """Return the times in nanoseconds of files that are named by decimal numbers, and whether these are seconds."""
     found = [DECIMAL.findall(path.stem) for path in paths]
     if len(found) < 2 or len({len(numbers) for numbers in found}) != 1:
         return None
-    for column in zip(*found, strict=True):
-        if any("." in number for number in column) and len(set(column)) > 1:
-            stamps = [int((Decimal(number) * NANOSECONDS).to_integral_value()) for number in column]
-            steps = [later - earlier for earlier, later in pairwise(sorted(stamps)) if later > earlier]
-            if SHORTEST_NS <= median(steps) <= LONGEST_NS:
-                return stamps
-    return None
+    telling = [column for column in zip(*found, strict=True) if len(set(column)) > 1]
+    if len(telling) == 2 and _are_seconds_and_parts(*telling):
+        telling = [tuple(f"{whole}.{part}" for whole, part in zip(*telling, strict=True))]
+    if len(telling) != 1 or not any("." in number for number in telling[0]) or _counts(telling[0]):
+        return None
+    stamps = [Decimal(number) for number in telling[0]]
+    steps = [later - earlier for earlier, later in pairwise(sorted(stamps)) if later > earlier]
+    unit = _fitting_unit(median(steps), max(stamps)) if steps else None
+    if unit is None:
+        return None
+    return [int((stamp * unit).to_integral_value()) for stamp in stamps], unit == NANOSECONDS
+
+
+def _are_seconds_and_parts(whole: Sequence[str], parts: Sequence[str]) -> bool:
+    """Tell whether two columns are those of a stamp: seconds, and nano- or microseconds of a fixed number of digits."""
+    digits = {len(part) for part in parts}
+    if any("." in number for number in (*whole, *parts)) or any(number[0] == "0" != number for number in whole):
+        return False
+    since_epoch = all(EPOCH_S[0] <= int(number) < EPOCH_S[1] for number in whole)
+    return digits == {NANOSECOND_DIGITS} or (digits == {MICROSECOND_DIGITS} and since_epoch)
+
+
+def _counts(numbers: Sequence[str]) -> bool:
+    """Tell whether what follows the points is a counter: ``shot2.0001``, ``shot2.0002``."""
+    parts = [number.partition(".") for number in numbers]
+    if len({whole for whole, _, _ in parts}) != 1 or not all(part for _, _, part in parts):
+        return False
+    counters = sorted(int(part) for _, _, part in parts)
+    return median(later - earlier for earlier, later in pairwise(counters)) <= 1

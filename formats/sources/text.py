@@ -110,7 +110,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def read_lines(path: Path) -> list[tuple[int, str]]:
-    """Read the lines of a table with their numbers, from 1; empty ones and comments (``#``, ``//``, ``;``) are skipped."""
+    """Read the lines of a table with their numbers, from 1, without empty ones and comments (``#``, ``//``, ``;``)."""
     lines = enumerate((line.strip() for line in read_text(path).splitlines()), start=1)
     return [(number, line) for number, line in lines if line.strip(" ,") and not line.startswith(COMMENTS)]
 

@@ -153,7 +153,7 @@ class _StampedPaths:
 
 
 def _stamped_paths(path: Path, fps: float) -> _StampedPaths:
-    stamped = []
+    stamped: list[tuple[Decimal, Path]] = []
     for number, line in read_lines(path):
         place = f"{path}:{number}"
         stamp, _, name = line.replace("\t", " ").partition("," if "," in line else " ")

@@ -620,7 +620,9 @@ def test_icl_nuim_with_two_trajectories(recording: Path) -> None:
     ("rgb", "expected"),
     [
         ("1305x rgb/a.png", "{path}:1: '1305x' is not a time in seconds within 292 years; correct the line"),
-        ("1305 rgb/a.png more", "{path}:1: expected a stamp and a path; correct the line"),
+        ("1305", "{path}:1: expected a stamp and a path; correct the line"),
+        ("10 rgb/a b.png", "{folder}/rgb/a b.png: no such picture; add it or remove the frame from the recording"),
+        ("10,'rgb\\c.png'", "{folder}/rgb/c.png: no such picture; add it or remove the frame from the recording"),
         ("1e400 rgb/a.png", "{path}:1: '1e400' is not a time in seconds within 292 years; correct the line"),
         (
             "99 rgb/a.png",
