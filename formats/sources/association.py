@@ -13,7 +13,7 @@ from pathlib import Path
 from statistics import median
 
 from threedvc.errors import SequenceError
-from threedvc.formats.sources.names import NamedPictures, named_pictures, unit_name
+from threedvc.formats.sources.names import NamedPictures, in_unit_of, named_pictures
 from threedvc.formats.sources.notices import Notice
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "left_out",
     "list_pictures",
     "name_numbers",
+    "pair_named",
     "pair_pictures",
 ]
 
@@ -75,12 +76,15 @@ class Pairing:
         another. Empty where names are numbers.
     notices
         What was decided.
+    unit
+        What names that are times are in, ``seconds`` for example.
     """
 
     pairs: Sequence[PicturePair]
     numbers: Sequence[int]
     stamps: Sequence[tuple[int, int | None]] = ()
     notices: tuple[Notice, ...] = ()
+    unit: str | None = None
 
 
 def associate(
@@ -155,11 +159,34 @@ def pair_pictures(color_folder: Path, depth_folder: Path) -> Pairing:
         of the other are not, numbers do not agree, or no times do.
     """
     colors, depths = (named_pictures(folder, list_pictures(folder)) for folder in (color_folder, depth_folder))
+    return pair_named(colors, depths)
+
+
+def pair_named(colors: NamedPictures, depths: NamedPictures) -> Pairing:
+    """Pair pictures by what their names say; raises SequenceError as `pair_pictures` does."""
+    colors, depths = in_unit_of(colors, depths), in_unit_of(depths, colors)
     if colors.unit_ns is not None and depths.unit_ns is not None:
         return _by_time(colors, depths)
+    if not colors.numbered or not depths.numbered:
+        return _in_order(colors, depths)
     _require_partners(colors, depths)
     pairs = [(path, depths.pictures[key]) for key, path in colors.pictures.items()]
     return Pairing(pairs, [key[-1] if key else 0 for key in colors.pictures])
+
+
+def _in_order(colors: NamedPictures, depths: NamedPictures) -> Pairing:
+    """Pair pictures without numbers in order of their names."""
+    color_paths, depth_paths = list(colors.pictures.values()), list(depths.pictures.values())
+    counts = f"{len(color_paths)} colour and {len(depth_paths)} depth pictures"
+    named = f"{color_paths[0].name} and {depth_paths[0].name}"
+    if len(color_paths) != len(depth_paths) or colors.numbered or depths.numbered:
+        raise SequenceError(
+            f"{colors.folder}: names tell nothing that pairs these pictures with those in {depths.folder} ({counts}, "
+            f"first {named}); give the two pictures of a frame the same number"
+        )
+    told = f"{colors.folder}: names have no numbers; paired with {depths.folder} in order of names ({named} first)"
+    pairs = list(zip(color_paths, depth_paths, strict=True))
+    return Pairing(pairs, list(range(len(pairs))), notices=(Notice(told),))
 
 
 def _by_time(colors: NamedPictures, depths: NamedPictures) -> Pairing:
@@ -170,11 +197,10 @@ def _by_time(colors: NamedPictures, depths: NamedPictures) -> Pairing:
     if not matches:
         raise SequenceError(
             f"{colors.folder}: names are times, and none is within {MAX_DIFFERENCE_MS} ms of one in {depths.folder} "
-            f"({color_paths[0].name}, {depth_paths[0].name}); check that both clocks and units agree"
+            f"({len(color_paths)} colour and {len(depth_paths)} depth pictures, first {color_paths[0].name} and "
+            f"{depth_paths[0].name}); check that both clocks and units agree"
         )
-    assert depths.unit_ns is not None
-    unit = unit_name(depths.unit_ns) if depths.unit_ns > 1 or depth_paths[0].stem.isdecimal() else "seconds"
-    notices = [Notice(f"{depths.folder}: the names are taken for times in {unit}; {_interval(depth_times)}")]
+    notices = [Notice(f"{depths.folder}: the names are taken for times in {depths.unit}; {_interval(depth_times)}")]
     notices += left_out(len(color_paths), len(depth_paths), len(matches), str(depths.folder.parent))
     keys = list(depths.pictures)
     return Pairing(
@@ -182,6 +208,7 @@ def _by_time(colors: NamedPictures, depths: NamedPictures) -> Pairing:
         [keys[j][0] for _, j in matches],
         [(depth_times[j], None if color_times[i] == depth_times[j] else color_times[i]) for i, j in matches],
         tuple(notices),
+        depths.unit,
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from itertools import pairwise
 from math import gcd
@@ -21,7 +21,7 @@ from typing import TypeAlias
 from threedvc.errors import SequenceError
 from threedvc.frame import NANOSECONDS
 
-__all__ = ["Key", "NamedPictures", "named_pictures", "numbers_in", "ticks_of", "unit_name"]
+__all__ = ["Key", "NamedPictures", "in_unit_of", "named_pictures", "ticks_of", "times_in"]
 
 Key: TypeAlias = tuple[int, ...]
 
@@ -61,14 +61,17 @@ class NamedPictures:
         By their numbers, in order: one number each where one tells them apart.
     unit_ns
         Nanoseconds that a step of the number stands for, where the names are times; None where they are not.
-    in_seconds
-        Whether the names are decimal seconds, or seconds and nanoseconds; the numbers are nanoseconds then.
+    unit
+        What the names are in, ``seconds`` for example; the numbers of names with a decimal point are nanoseconds.
+    numbered
+        Whether the names have numbers; else the files are in order of their names, and their numbers are places in it.
     """
 
     folder: Path
     pictures: dict[Key, Path]
     unit_ns: int | None = None
-    in_seconds: bool = False
+    unit: str | None = None
+    numbered: bool = True
 
     @property
     def times_ns(self) -> list[int]:
@@ -87,17 +90,37 @@ def named_pictures(folder: Path, paths: Sequence[Path]) -> NamedPictures:
     """
     decimals = _decimal_times(paths)
     if decimals is not None:
-        stamps, in_seconds = decimals
-        return NamedPictures(folder, _by_key(paths, [(stamp,) for stamp in stamps]), 1, in_seconds)
-    stems = [path.stem for path in paths]
-    pictures = _by_key(paths, _telling_columns(paths, [tuple(map(int, WHOLE.findall(stem))) for stem in stems]))
-    single = all(len(key) == 1 for key in pictures)
-    return NamedPictures(folder, pictures, ticks_of([key[0] for key in pictures]) if single else None)
+        stamps, unit_ns = decimals
+        return NamedPictures(folder, _by_key(paths, [(stamp,) for stamp in stamps]), 1, UNITS[unit_ns])
+    keys = _telling_columns(paths, [tuple(map(int, WHOLE.findall(path.stem))) for path in paths])
+    if len(paths) > 1 and not any(keys):
+        words = [WHOLE.sub("0", path.stem) for path in paths]
+        places = {word: (place,) for place, word in enumerate(sorted(set(words)))}
+        return NamedPictures(folder, _by_key(paths, [places[word] for word in words]), numbered=False)
+    pictures = _by_key(paths, keys)
+    whole_ns = ticks_of([key[0] for key in pictures]) if all(len(key) == 1 for key in pictures) else None
+    return NamedPictures(folder, pictures, whole_ns, None if whole_ns is None else UNITS[whole_ns])
 
 
-def numbers_in(stem: str) -> list[Decimal]:
-    """Return the numbers in a name, decimal where they have a point between digits."""
-    return [Decimal(number) for number in DECIMAL.findall(stem)]
+def in_unit_of(pictures: NamedPictures, other: NamedPictures) -> NamedPictures:
+    """Return pictures whose whole numbers may be times too, taken for times in the unit of another folder's.
+
+    Few times can look like numbers with left-out frames, 0 40 80, where those of the other folder cannot.
+    """
+    unit = other.unit_ns
+    if pictures.unit_ns is not None or unit is None or other.unit != UNITS[unit] or not pictures.numbered:
+        return pictures
+    numbers = [key[0] for key in pictures.pictures if len(key) == 1]
+    steps = [later - earlier for earlier, later in pairwise(numbers)]
+    if len(numbers) < len(pictures.pictures) or (steps and not SHORTEST_NS <= median(steps) * unit <= LONGEST_NS):
+        return pictures
+    return replace(pictures, unit_ns=unit, unit=other.unit)
+
+
+def times_in(name: str, unit: str) -> list[int]:
+    """Return the times in nanoseconds that the numbers in a name can be, in a unit such as ``seconds``."""
+    unit_ns = next(each for each, called in UNITS.items() if called == unit)
+    return [int((Decimal(number) * unit_ns).to_integral_value()) for number in DECIMAL.findall(name)]
 
 
 def ticks_of(numbers: Sequence[int]) -> int | None:
@@ -112,11 +135,6 @@ def ticks_of(numbers: Sequence[int]) -> int | None:
     if numbers[-1] >= EPOCH_S[0] or median(steps) >= CLOCK_STEP:
         return _fitting_unit(median(steps), numbers[-1])
     return MILLISECOND_NS if _is_clock_of_milliseconds(steps) else None
-
-
-def unit_name(unit_ns: int) -> str:
-    """Return what a unit of so many nanoseconds is called."""
-    return UNITS[unit_ns]
 
 
 def _fitting_unit(step: float | Decimal, largest: int | Decimal) -> int | None:
@@ -134,9 +152,10 @@ def _is_clock_of_milliseconds(steps: Sequence[int]) -> bool:
         return False
     tolerance = max(1.0, JITTER * typical)
     near = [step for step in steps if abs(step - max(1, round(step / typical)) * typical) <= tolerance]
-    interval = mean(step for step in steps if abs(step - typical) <= tolerance)
-    usual = any(abs(1000 / interval - rate) <= SAME_RATE * rate for rate in RATES)
-    return usual and len(near) >= REGULAR_SHARE * len(steps)
+    if len(near) < REGULAR_SHARE * len(steps):
+        return False
+    interval = mean(step / max(1, round(step / typical)) for step in near)
+    return any(abs(1000 / interval - rate) <= SAME_RATE * rate for rate in RATES)
 
 
 def _by_key(paths: Sequence[Path], keys: Sequence[Key]) -> dict[Key, Path]:
@@ -149,7 +168,7 @@ def _by_key(paths: Sequence[Path], keys: Sequence[Key]) -> dict[Key, Path]:
 
 
 def _telling_columns(paths: Sequence[Path], keys: Sequence[Key]) -> list[Key]:
-    """Return the number of each name that is its frame's: not the same in all, and the only one that is not."""
+    """Return the number of each name that is its frame's: the one that is not the same in all; () where none is."""
     if len(keys) < 2:
         return list(keys)
     for path, key in zip(paths, keys, strict=True):
@@ -161,7 +180,7 @@ def _telling_columns(paths: Sequence[Path], keys: Sequence[Key]) -> list[Key]:
     columns = [column for column in zip(*keys, strict=True) if len(set(column)) > 1]
     if len(columns) > 1:
         return [(number,) for number in _one_of(paths, columns)]
-    return list(zip(*columns, strict=True)) if columns else list(keys)
+    return list(zip(*columns, strict=True)) if columns else [() for _ in keys]
 
 
 def _count(key: Key) -> str:
@@ -181,8 +200,8 @@ def _one_of(paths: Sequence[Path], columns: Sequence[tuple[int, ...]]) -> tuple[
     return next((each for each in columns if ticks_of([each[row] for row in order]) is not None), columns[0])
 
 
-def _decimal_times(paths: Sequence[Path]) -> tuple[list[int], bool] | None:
-    """Return the times in nanoseconds of files that are named by decimal numbers, and whether these are seconds."""
+def _decimal_times(paths: Sequence[Path]) -> tuple[list[int], int] | None:
+    """Return the times in nanoseconds of files that are named by decimal numbers, and the unit of these."""
     found = [DECIMAL.findall(path.stem) for path in paths]
     if len(found) < 2 or len({len(numbers) for numbers in found}) != 1:
         return None
@@ -196,7 +215,7 @@ def _decimal_times(paths: Sequence[Path]) -> tuple[list[int], bool] | None:
     unit = _fitting_unit(median(steps), max(stamps)) if steps else None
     if unit is None:
         return None
-    return [int((stamp * unit).to_integral_value()) for stamp in stamps], unit == NANOSECONDS
+    return [int((stamp * unit).to_integral_value()) for stamp in stamps], unit
 
 
 def _are_seconds_and_parts(whole: Sequence[str], parts: Sequence[str]) -> bool:
