@@ -52,7 +52,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     rate = rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder)) if pairing.stamps else None
     fps = told or DEFAULT_FPS
     stamps = pairing.stamps or [(regular_stamp(index, fps), None) for index in range(len(pairing.pairs))]
-    masks = find_masks(folder, pairing.numbers)
+    masks = find_masks(folder, pairing)
     poses, poses_from = _poses(folder, pairing.numbers)
     frames = [
         FrameFiles(

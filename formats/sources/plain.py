@@ -76,7 +76,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     for path, _ in pairing.pairs:
         _require_number(path)
     clock = _clock(folder, pairing, options.fps or cameras.fps)
-    masks = find_masks(folder, pairing.numbers)
+    masks = find_masks(folder, pairing)
     return assemble(
         folder,
         _frames(folder, pairing, clock, masks),

@@ -67,7 +67,7 @@ class FolderSequence:
             max_depth_m=max_depth_m,
         )
         self._notices += check_intervals([frame.timestamp_ns for frame in frames], str(recording.folder))
-        self._notices += check_masks([frame.mask for frame in frames if frame.mask], read_mask)
+        self._notices += check_masks(frames, read_mask)
         self._info = SequenceInfo(
             name=recording.folder.resolve().name,
             rig=recording.rig,
