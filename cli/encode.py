@@ -31,7 +31,7 @@ __all__ = ["encode"]
 
 STANDARD_OUTPUT = Path("-")
 # Written out here because the module that lists them loads OpenCV, which --help must not wait for.
-LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare")
+LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare", "flat")
 PRESETS = ("live", "fast", "medium", "slow")
 SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "poses")

@@ -17,7 +17,6 @@ from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
 from threedvc.formats.sources.masks import find_masks
 from threedvc.formats.sources.pose_folder import find_pose_folder, read_pose_folder
 from threedvc.formats.sources.recording import (
-    DEFAULT_FPS,
     MILLIMETRES,
     FrameFiles,
     Layout,
@@ -26,7 +25,7 @@ from threedvc.formats.sources.recording import (
     chosen_folder,
     first_folder,
 )
-from threedvc.formats.sources.timestamps import rate_of, regular_stamp
+from threedvc.formats.sources.timestamps import clock_of
 from threedvc.pose import Pose
 
 __all__ = ["LAYOUT"]
@@ -48,10 +47,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     cameras = find_cameras(folder, options, pairing.pairs[0])
     if cameras is None:
         raise SequenceError(f"{folder}: no camera intrinsics; {REMEDY}")
-    told = options.fps or cameras.fps
-    rate = rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder)) if pairing.stamps else None
-    fps = told or DEFAULT_FPS
-    stamps = pairing.stamps or [(regular_stamp(index, fps), None) for index in range(len(pairing.pairs))]
+    clock = clock_of(pairing.stamps, len(pairing.pairs), options.fps or cameras.fps, str(folder))
     masks = find_masks(folder, pairing)
     poses, poses_from = _poses(folder, pairing.numbers)
     frames = [
@@ -65,7 +61,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
             T_world_camera=poses.get(number),
         )
         for (color_path, depth_path), number, (stamp, color_stamp) in zip(
-            pairing.pairs, pairing.numbers, stamps, strict=True
+            pairing.pairs, pairing.numbers, clock.stamps, strict=True
         )
     ]
     return assemble(
@@ -74,9 +70,9 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         cameras,
         options,
         depth_scale=MILLIMETRES,
-        fps=fps if rate is None else rate.fps,
+        fps=clock.fps,
         poses_from=poses_from,
-        notices=(*pairing.notices, *(rate.notices if rate is not None else ()), *masks.notices),
+        notices=(*pairing.notices, *clock.notices, *masks.notices),
     )
 
 

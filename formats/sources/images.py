@@ -11,13 +11,14 @@ import re
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.text import require_file
 
 __all__ = ["PictureHeader", "read_color", "read_depth", "read_header", "read_mask"]
 
@@ -25,7 +26,29 @@ PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
 PNG_PALETTE = 3
-JPEG_EOI, JPEG_SOS, JPEG_DRI = 0xD9, 0xDA, 0xDD
+JPEG_EOI, JPEG_SOS, JPEG_DRI, JPEG_APP1 = 0xD9, 0xDA, 0xDD, 0xE1
+EXIF, ORIENTATION_TAG = b"Exif\0\0", 0x0112
+HEAD_BYTES = 64
+MAX_PIXELS = 1 << 26
+"""64 million pixels: more than any depth camera's colour picture has, and a few hundred megabytes once decoded."""
+OTHER_KINDS = (
+    (rb"II\*\0|MM\0\*", "TIFF"),
+    (rb"\x93NUMPY", "a NumPy array"),
+    (rb"PK\x03\x04", "a zip archive (perhaps .npz)"),
+    (rb"\x76\x2f\x31\x01", "OpenEXR"),
+    (rb"RIFF....WEBP", "WebP"),
+    (rb"GIF8", "GIF"),
+    (rb"BM", "a Windows bitmap"),
+    (rb"P[1-7]\s", "a portable map (PGM, PPM)"),
+    (rb"P[Ff]\s", "a portable float map (PFM)"),
+    (rb"....ftyp(avif|avis)", "AVIF"),
+    (rb"....ftyp(heic|heix|mif1)", "HEIC"),
+    (rb"....ftyp", "a video"),
+    (rb"\x1a\x45\xdf\xa3", "a video"),
+    (rb"version https://git-lfs", "a pointer of Git LFS; fetch the files themselves"),
+    (rb"\s*<(!DOCTYPE|html)", "a web page"),
+    (rb"$", "an empty file"),
+)
 MARKER = re.compile(rb"\xff[^\x00\xff]")
 MARKER_AFTER_RESTARTS = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 JPEG_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -45,6 +68,8 @@ class PictureHeader:
         Per channel.
     palette
         Whether the pixels are indices into a palette.
+    orientation
+        How EXIF says to turn the picture for showing it, 1 to 8; 1 is as stored.
     """
 
     width: int
@@ -52,6 +77,7 @@ class PictureHeader:
     channels: int
     bits: int
     palette: bool = False
+    orientation: int = 1
 
     @property
     def size(self) -> tuple[int, int]:
@@ -62,18 +88,29 @@ class PictureHeader:
 def read_header(path: Path) -> PictureHeader:
     """Read size and kind of a PNG or JPEG file without decoding it; raises SequenceError."""
     try:
+        require_file(path)
         with path.open("rb") as file:
-            magic = file.read(8)
-            if magic == PNG_MAGIC:
-                return _png_header(path, file.read(18))
-            if magic[:2] == JPEG_MAGIC:
+            magic = file.read(HEAD_BYTES)
+            if magic.startswith(PNG_MAGIC):
+                header = _png_header(path, magic[len(PNG_MAGIC) :])
+            elif magic.startswith(JPEG_MAGIC):
                 file.seek(2)
-                return _jpeg_header(path, file)
+                header = _jpeg_header(path, file)
+            else:
+                raise _unreadable(path, _kind_of(magic))
     except FileNotFoundError:
         raise SequenceError(f"{path}: no such picture; add it or remove the frame from the recording") from None
     except OSError as error:
         raise _unreadable(path, error.strerror or "input error") from None
-    raise _unreadable(path, "neither PNG nor JPEG")
+    if not 0 < header.width * header.height <= MAX_PIXELS:
+        raise _unreadable(path, f"{header.width}x{header.height} pixels, expected 1 to {MAX_PIXELS}")
+    return header
+
+
+def _kind_of(head: bytes) -> str:
+    """Say what a file is that is neither PNG nor JPEG."""
+    found = next((name for magic, name in OTHER_KINDS if re.match(magic, head, re.DOTALL)), None)
+    return "neither PNG nor JPEG" if found is None else f"neither PNG nor JPEG but {found}"
 
 
 def _png_header(path: Path, chunk: bytes) -> PictureHeader:
@@ -84,13 +121,43 @@ def _png_header(path: Path, chunk: bytes) -> PictureHeader:
 
 
 def _jpeg_header(path: Path, file: BinaryIO) -> PictureHeader:
-    while len(segment := file.read(4)) == 4 and segment[0] == 0xFF:
-        length = int.from_bytes(segment[2:], "big")
-        if segment[1] in JPEG_FRAME_HEADERS and len(body := file.read(6)) == 6:
+    orientation = 1
+    while (marker := _jpeg_marker(file)) is not None and len(size := file.read(2)) == 2:
+        length = int.from_bytes(size, "big") - 2
+        if marker in JPEG_FRAME_HEADERS and len(body := file.read(6)) == 6:
             height, width = int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big")
-            return PictureHeader(width, height, body[5], body[0])
-        file.seek(length - 2, 1)
+            return PictureHeader(width, height, body[5], body[0], orientation=orientation)
+        if length < 0:
+            break
+        if marker == JPEG_APP1:
+            orientation = _exif_orientation(file.read(length)) or orientation
+        else:
+            file.seek(length, 1)
     raise _unreadable(path, "damaged JPEG header")
+
+
+def _jpeg_marker(file: BinaryIO) -> int | None:
+    """Return the next marker, after any number of fill bytes (ITU-T T.81, B.1.1.2); None where there is none."""
+    byte = file.read(1)
+    if byte != b"\xff":
+        return None
+    while byte == b"\xff":
+        byte = file.read(1)
+    return byte[0] if byte else None
+
+
+def _exif_orientation(segment: bytes) -> int | None:
+    """Return the orientation that an APP1 segment tells, None if it tells none."""
+    tiff = segment[len(EXIF) :]
+    order: Literal["big", "little"] = "big" if tiff.startswith(b"MM") else "little"
+    if not segment.startswith(EXIF) or len(tiff) < 10:
+        return None
+    start = int.from_bytes(tiff[4:8], order)
+    count = int.from_bytes(tiff[start : start + 2], order)
+    for place in range(start + 2, min(start + 2 + 12 * count, len(tiff) - 11), 12):
+        if int.from_bytes(tiff[place : place + 2], order) == ORIENTATION_TAG:
+            return int.from_bytes(tiff[place + 8 : place + 10], order)
+    return None
 
 
 def read_color(path: Path) -> NDArray[np.uint8]:
@@ -102,7 +169,7 @@ def read_color(path: Path) -> NDArray[np.uint8]:
 
 def read_depth(path: Path) -> NDArray[np.uint16]:
     """Read a 16-bit picture of 1 channel as (height, width) raw units; raises SequenceError."""
-    picture = _decode(path, cv2.IMREAD_UNCHANGED)
+    picture = _without_alpha(_decode(path, cv2.IMREAD_UNCHANGED))
     if picture.dtype != np.uint16 or picture.ndim != 2:
         raise _unreadable(path, f"{picture.dtype} with {picture.ndim} axes, expected 16-bit depth")
     return np.asarray(picture, dtype=np.uint16)
@@ -110,10 +177,17 @@ def read_depth(path: Path) -> NDArray[np.uint16]:
 
 def read_mask(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit picture of 1 channel as (height, width) labels; raises SequenceError."""
-    picture = _decode(path, cv2.IMREAD_UNCHANGED)
+    picture = _without_alpha(_decode(path, cv2.IMREAD_UNCHANGED))
     if picture.dtype != np.uint8 or picture.ndim != 2:
         raise _unreadable(path, f"{picture.dtype} with {picture.ndim} axes, expected 8-bit labels")
     return np.asarray(picture, dtype=np.uint8)
+
+
+def _without_alpha(picture: cv2.typing.MatLike) -> cv2.typing.MatLike:
+    """Return a grey picture (h, w) that was decoded with an alpha channel, which OpenCV makes of it, without that."""
+    if picture.ndim == 3 and picture.shape[2] in (2, 4) and np.array_equal(picture[..., 0], picture[..., -2]):
+        return np.ascontiguousarray(picture[..., 0])
+    return picture
 
 
 def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
@@ -155,6 +229,9 @@ def _jpeg_defect(data: bytes) -> str | None:
         if data[position] != 0xFF:
             return f"damaged JPEG at byte {position}"
         marker = data[position + 1]
+        if marker == 0xFF:
+            position += 1
+            continue
         if marker == JPEG_EOI:
             return None
         restarts = restarts or marker == JPEG_DRI

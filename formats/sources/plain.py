@@ -21,7 +21,7 @@ NNNNNN is the frame's number. Numbers may begin anywhere and have gaps; a gap ta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import TypeVar
@@ -45,7 +45,7 @@ from threedvc.formats.sources.recording import (
     chosen_folder,
 )
 from threedvc.formats.sources.text import Row, read_json, read_rows
-from threedvc.formats.sources.timestamps import UNITS, Rate, parse_nanoseconds, rate_of, regular_stamp, unit_of
+from threedvc.formats.sources.timestamps import UNITS, Clock, clock_of, parse_nanoseconds, regular_stamp, unit_of
 from threedvc.pose import Pose
 
 __all__ = ["LAYOUT"]
@@ -83,21 +83,13 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         cameras,
         options,
         depth_scale=MILLIMETRES,
-        fps=clock.rate.fps,
+        fps=clock.fps,
         poses_from=folder / POSES,
-        notices=(*pairing.notices, *clock.rate.notices, *masks.notices),
+        notices=(*pairing.notices, *clock.notices, *masks.notices),
     )
 
 
-@dataclass(frozen=True)
-class _Clock:
-    """Times of each frame's depth and colour picture, nanoseconds, and the rate."""
-
-    stamps: Sequence[tuple[int, int | None]]
-    rate: Rate
-
-
-def _frames(folder: Path, pairing: Pairing, clock: _Clock, masks: Masks) -> list[FrameFiles]:
+def _frames(folder: Path, pairing: Pairing, clock: Clock, masks: Masks) -> list[FrameFiles]:
     numbers = pairing.numbers
     poses = _camera_poses(folder / POSES, numbers)
     objects = _object_poses(folder / OBJECT_POSES, len(numbers))
@@ -141,31 +133,35 @@ def _camera_poses(path: Path, numbers: Sequence[int]) -> dict[int, Pose | None]:
     return {number: pose_from_row(row) if len(row.fields) > 1 else None for number, row in rows.items()}
 
 
-def _clock(folder: Path, pairing: Pairing, told: float | None) -> _Clock:
+def _clock(folder: Path, pairing: Pairing, told: float | None) -> Clock:
     """Return the times of the file, else those in the names, else those of a regular clock."""
     path, numbers = folder / TIMESTAMPS, pairing.numbers
     if not path.is_file() and pairing.stamps:
-        return _Clock(pairing.stamps, rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder)))
+        return clock_of(pairing.stamps, len(numbers), told, str(folder))
     fps = told or DEFAULT_FPS
-    regular = _Clock([(regular_stamp(number - numbers[0], fps), None) for number in numbers], Rate(fps))
+    regular = Clock([(regular_stamp(number - numbers[0], fps), None) for number in numbers], fps)
     if not path.is_file():
         return regular
+    stamps = _file_stamps(path, numbers)
+    unit = unit_of([Decimal(stamp) for stamp, _ in stamps], "nanoseconds")
+    if unit is None:
+        counted = Notice(f"{path}: its stamps count frames; they are taken to be {fps:g} per second")
+        return replace(regular, notices=(counted,))
+    ticks = UNITS[unit]
+    timed = [(stamp * ticks, None if color is None else color * ticks) for stamp, color in stamps]
+    clock = clock_of(timed, len(timed), told, str(path))
+    taken = (Notice(f"{path}: its stamps are taken for {unit}"),) if ticks > 1 else ()
+    return replace(clock, notices=(*taken, *clock.notices))
+
+
+def _file_stamps(path: Path, numbers: Sequence[int]) -> list[tuple[int, int | None]]:
     rows = _rows_by_number(path)
     _require_all(path, numbers, rows, "timestamp")
     stamps = [_row_stamps(rows[number]) for number in numbers]
     for number, (stamp, _), (earlier, _) in zip(numbers[1:], stamps[1:], stamps, strict=False):
         if stamp < earlier:
             raise SequenceError(f"{rows[number].place}: time {stamp} ns runs backwards; correct the line")
-    unit = unit_of([Decimal(stamp) for stamp, _ in stamps], "nanoseconds")
-    if unit is None:
-        told_so = Notice(f"{path}: its stamps count frames; they are taken to be {fps:g} per second")
-        return replace(regular, rate=Rate(fps, (told_so,)))
-    ticks = UNITS[unit]
-    timed = [(stamp * ticks, None if color is None else color * ticks) for stamp, color in stamps]
-    rate = rate_of([stamp for stamp, _ in timed], told, str(path))
-    if ticks > 1:
-        rate = replace(rate, notices=(Notice(f"{path}: its stamps are taken for {unit}"), *rate.notices))
-    return _Clock(timed, rate)
+    return stamps
 
 
 def _row_stamps(row: Row) -> tuple[int, int | None]:

@@ -27,7 +27,7 @@ from threedvc.formats.sources.recording import (
     chosen_folder,
     first_folder,
 )
-from threedvc.formats.sources.timestamps import rate_of, regular_stamp
+from threedvc.formats.sources.timestamps import clock_of
 from threedvc.pose import Pose
 
 __all__ = ["LAYOUT"]
@@ -54,13 +54,11 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     cameras = find_cameras(folder, options, pairs[0], _intrinsics(folder)) or published_camera(
         CAMERA, pairs[0], nominal="Redwood's sensor"
     )
-    told = options.fps or cameras.fps
-    rate = rate_of([stamp for stamp, _ in pairing.stamps], told, str(folder))
-    stamps = pairing.stamps or [(regular_stamp(index, rate.fps), None) for index in range(len(pairs))]
+    clock = clock_of(pairing.stamps, len(pairs), options.fps or cameras.fps, str(folder))
     poses = _poses(folder, len(pairs))
     frames = tuple(
         FrameFiles(color=color, depth=depth, timestamp_ns=stamp, color_timestamp_ns=color_stamp, T_world_camera=pose)
-        for (color, depth), (stamp, color_stamp), pose in zip(pairs, stamps, poses, strict=True)
+        for (color, depth), (stamp, color_stamp), pose in zip(pairs, clock.stamps, poses, strict=True)
     )
     return assemble(
         folder,
@@ -68,9 +66,9 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         cameras,
         options,
         depth_scale=MILLIMETRES,
-        fps=rate.fps,
+        fps=clock.fps,
         poses_from=next(iter(_trajectories(folder)), None),
-        notices=(*pairing.notices, *rate.notices),
+        notices=(*pairing.notices, *clock.notices),
     )
 
 

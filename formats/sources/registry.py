@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
-from threedvc.formats.sources import bare, icl_nuim, plain, redwood, seven_scenes, tum
+from threedvc.formats.sources import bare, flat, icl_nuim, plain, redwood, seven_scenes, tum
 from threedvc.formats.sources.recording import Layout, SourceOptions
 
 __all__ = ["AUTO", "LAYOUTS", "find_layout", "layout_names"]
@@ -19,7 +19,23 @@ LAYOUTS: tuple[Layout, ...] = (
     plain.LAYOUT,
     redwood.LAYOUT,
     bare.LAYOUT,
+    flat.LAYOUT,
 )
+
+
+EXPORTS = (
+    (("rgb.mp4", "odometry.csv"), "a recording of Stray Scanner, whose colour is a video; take its frames out as "
+     "color/NNNNNN.jpg, numbered as depth/ is, and give --intrinsics"),
+    (("rgbd", "metadata*"), "an export of Record3D, whose depth is compressed; let it export PNG sequences, or convert "
+     "rgbd/*.depth to 16-bit PNG"),
+    (("*.bag",), "a rosbag; take its pictures out as color/NNNNNN.png and depth/NNNNNN.png first"),
+    (("*.mcap",), "an MCAP recording; take its pictures out as color/NNNNNN.png and depth/NNNNNN.png first"),
+    (("*.mkv",), "a video; take its pictures out as color/NNNNNN.png and depth/NNNNNN.png first"),
+    (("*.mp4",), "a video; give 16-bit depth pictures beside its frames, as color/NNNNNN.png and depth/NNNNNN.png"),
+    (("*.r3d",), "an export of Record3D; let it export PNG sequences"),
+    (("*.sens",), "a .sens file of ScanNet; export it with its SensReader"),
+)  # fmt: skip
+"""What other programs leave, by the files that tell it, and what to do."""
 
 
 def layout_names() -> tuple[str, ...]:
@@ -60,6 +76,9 @@ def _recognised(folder: Path, gives_folders: bool) -> Layout:
 
 def _guess(folder: Path) -> str:
     inside = [child for child in sorted(folder.iterdir()) if child.is_dir()]
+    export = next((told for marks, told in EXPORTS if all(any(folder.glob(mark)) for mark in marks)), None)
+    if export is not None:
+        return f"holds {export}"
     deeper = next((child for child in inside if any(layout.recognises(child) for layout in LAYOUTS)), None)
     if deeper is not None:
         return f"is not a recording, but {deeper} looks like one; give that folder"

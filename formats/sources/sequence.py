@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -69,7 +70,7 @@ class FolderSequence:
         self._notices += check_intervals([frame.timestamp_ns for frame in frames], str(recording.folder))
         self._notices += check_masks(frames, read_mask)
         self._info = SequenceInfo(
-            name=recording.folder.resolve().name,
+            name=_text(recording.folder.resolve().name),
             rig=recording.rig,
             depth_scale=recording.depth_scale,
             fps=recording.fps,
@@ -159,6 +160,11 @@ class FolderSequence:
         return raw
 
 
+def _text(name: str) -> str:
+    """Return a file's name as text; what is no UTF-8 in it is replaced."""
+    return os.fsencode(name).decode("utf-8", "replace")
+
+
 def _of_size(camera: Camera, picture: NDArray[Item], path: Path) -> NDArray[Item]:
     """Return the picture unless its file was exchanged for one of another size since its header was checked."""
     height, width = picture.shape[:2]
@@ -180,6 +186,11 @@ def _check_headers(recording: Recording) -> set[int]:
     masks = _headers(mask_paths, depth_size)
     for frame, color, depth in zip(frames, colors, depths, strict=True):
         _check_kinds(frame, color, depth)
+        if color.orientation != colors[0].orientation:
+            raise SequenceError(
+                f"{frame.color}: EXIF turns it by orientation {color.orientation}, but {frames[0].color.name} by "
+                f"{colors[0].orientation}; turn all pictures alike, as the camera saw them"
+            )
     for path, mask in zip(mask_paths, masks, strict=True):
         if (mask.channels, mask.bits, mask.palette) != (1, 8, False):
             raise SequenceError(f"{path}: mask is {_kind(mask)}, expected 8-bit labels of 1 channel; convert the masks")

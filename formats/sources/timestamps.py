@@ -21,11 +21,12 @@ from threedvc.frame import NANOSECONDS
 __all__ = [
     "INT64_LIMIT",
     "UNITS",
+    "Clock",
     "Rate",
     "check_intervals",
+    "clock_of",
     "fps_of_stamps",
     "parse_nanoseconds",
-    "parse_seconds",
     "rate_of",
     "regular_stamp",
     "unit_of",
@@ -132,6 +133,24 @@ def rate_of(stamps: Sequence[int], told: float | None, place: str) -> Rate:
         return Rate(mean)
     text = f"{place}: its stamps are those of {mean:g} frames per second, not {told:g}; the stamps are used"
     return Rate(mean, (Notice(text, warning=True),))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Times (ns) of the frames' depth and colour pictures, the colour's None where it is the same, and the rate."""
+
+    stamps: Sequence[tuple[int, int | None]]
+    fps: float
+    notices: tuple[Notice, ...] = ()
+
+
+def clock_of(stamps: Sequence[tuple[int, int | None]], count: int, told: float | None, place: str) -> Clock:
+    """Return the clock of stamps, or a regular one of `count` frames where there are none; see `rate_of`."""
+    if not stamps:
+        fps = told or DEFAULT_FPS
+        return Clock([(regular_stamp(index, fps), None) for index in range(count)], fps)
+    rate = rate_of([stamp for stamp, _ in stamps], told, place)
+    return Clock(stamps, rate.fps, rate.notices)
 
 
 def check_intervals(stamps: Sequence[int], place: str) -> list[Notice]:
