@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Bare folders of colour and depth pictures, paired by the numbers or the times in their names.
 
-The intrinsics must be given; depth is in millimetres unless the scale is given. Names that are times give the clock,
-else it is regular. Masks are read from ``masks/`` or ``mask_visib/``, poses (4x4 camera-to-world) from ``pose/N.txt``.
+The intrinsics must be given, unless BOP or nerfstudio left a file with them; depth is in millimetres unless the scale is
+given. Names that are times give the clock, else it is regular. Masks are read from ``masks/`` or ``mask_visib/``, poses
+(4x4 camera-to-world) from ``pose/N.txt``.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from pathlib import Path
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import pair_pictures
-from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
+from threedvc.formats.sources.intrinsics import REMEDY
 from threedvc.formats.sources.masks import find_masks
 from threedvc.formats.sources.pose_folder import find_pose_folder, read_pose_folder
+from threedvc.formats.sources.program_cameras import cameras_beside
 from threedvc.formats.sources.recording import (
     MILLIMETRES,
     FrameFiles,
@@ -44,7 +46,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     color = chosen_folder(folder, options.color, first_folder(folder, COLOR_NAMES), "--color")
     depth = chosen_folder(folder, options.depth, first_folder(folder, DEPTH_NAMES), "--depth")
     pairing = pair_pictures(color, depth)
-    cameras = find_cameras(folder, options, pairing.pairs[0])
+    cameras = cameras_beside(folder, options, pairing.pairs[0])
     if cameras is None:
         raise SequenceError(f"{folder}: no camera intrinsics; {REMEDY}")
     clock = clock_of(pairing.stamps, len(pairing.pairs), options.fps or cameras.fps, str(folder))

@@ -9,6 +9,7 @@ or integers that only make sense as nano-, micro- or milliseconds of a video.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -171,11 +172,13 @@ def _telling_columns(paths: Sequence[Path], keys: Sequence[Key]) -> list[Key]:
     """Return the number of each name that is its frame's: the one that is not the same in all; () where none is."""
     if len(keys) < 2:
         return list(keys)
+    usual = max(Counter(map(len, keys)).items(), key=lambda each: (each[1], each[0]))[0]
     for path, key in zip(paths, keys, strict=True):
-        if len(key) != len(keys[0]):
+        if len(key) != usual:
+            alike = next(other for other, each in zip(paths, keys, strict=True) if len(each) == usual)
             raise SequenceError(
-                f"{path}: has {_count(key)} in its name and {paths[0].name} has {_count(keys[0])}: which is that of "
-                "the frame? name all alike, or move what is no frame elsewhere"
+                f"{path}: has {_count(len(key))} in its name, but {alike.name} has {_count(usual)}: which one is the "
+                "frame's? name all alike, or move what is no frame elsewhere"
             )
     columns = [column for column in zip(*keys, strict=True) if len(set(column)) > 1]
     if len(columns) > 1:
@@ -183,8 +186,8 @@ def _telling_columns(paths: Sequence[Path], keys: Sequence[Key]) -> list[Key]:
     return list(zip(*columns, strict=True)) if columns else [() for _ in keys]
 
 
-def _count(key: Key) -> str:
-    return "one number" if len(key) == 1 else f"{len(key) or 'no'} numbers"
+def _count(numbers: int) -> str:
+    return "one number" if numbers == 1 else f"{numbers or 'no'} numbers"
 
 
 def _one_of(paths: Sequence[Path], columns: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
@@ -194,8 +197,8 @@ def _one_of(paths: Sequence[Path], columns: Sequence[tuple[int, ...]]) -> tuple[
         if any(column[later] <= column[earlier] for earlier, later in pairwise(order)):
             first, last = paths[order[0]], paths[order[-1]]
             raise SequenceError(
-                f"{last}: {len(columns)} numbers change from name to name ({first.name}, {last.name}): which is that "
-                "of the frame? rename the files to one number (000012.png)"
+                f"{last}: {len(columns)} numbers change from name to name ({first.name}, {last.name}): which one "
+                "is the frame's? rename the files to one number (000012.png)"
             )
     return next((each for each in columns if ticks_of([each[row] for row in order]) is not None), columns[0])
 

@@ -36,6 +36,8 @@ EXPORTS = (
     (("*.sens",), "a .sens file of ScanNet; export it with its SensReader"),
 )  # fmt: skip
 """What other programs leave, by the files that tell it, and what to do."""
+RTABMAP = ("rgb", "depth", "calib", "poses.txt")
+"""What RTAB-Map exports: poses.txt has times, where that of the plain layout has the frames' numbers."""
 
 
 def layout_names() -> tuple[str, ...]:
@@ -65,6 +67,11 @@ def find_layout(folder: Path, name: str, options: SourceOptions) -> Layout:
 
 
 def _recognised(folder: Path, gives_folders: bool) -> Layout:
+    if not gives_folders and all((folder / name).exists() for name in RTABMAP):
+        raise SequenceError(
+            f"{folder}: holds an export of RTAB-Map; give --layout bare and --intrinsics FILE or fx,fy,cx,cy, as "
+            "calib/ has them (its poses.txt is not read)"
+        )
     candidates = [layout for layout in LAYOUTS if layout.takes_folders or not gives_folders]
     found = next((layout for layout in candidates if layout.recognises(folder)), None)
     if found is not None:
