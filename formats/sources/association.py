@@ -13,7 +13,7 @@ from pathlib import Path
 from statistics import median
 
 from threedvc.errors import SequenceError
-from threedvc.formats.sources.names import NamedPictures, in_unit_of, named_pictures
+from threedvc.formats.sources.names import NamedPictures, doubt_of_steps, in_unit_of, named_pictures
 from threedvc.formats.sources.notices import Notice
 
 __all__ = [
@@ -171,7 +171,8 @@ def pair_named(colors: NamedPictures, depths: NamedPictures) -> Pairing:
         return _in_order(colors, depths)
     _require_partners(colors, depths)
     pairs = [(path, depths.pictures[key]) for key, path in colors.pictures.items()]
-    return Pairing(pairs, [key[-1] if key else 0 for key in colors.pictures])
+    doubt = doubt_of_steps(depths)
+    return Pairing(pairs, [key[-1] if key else 0 for key in colors.pictures], notices=(doubt,) if doubt else ())
 
 
 def _in_order(colors: NamedPictures, depths: NamedPictures) -> Pairing:

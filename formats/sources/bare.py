@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Bare folders of colour and depth pictures, paired by the numbers or the times in their names.
 
-The intrinsics must be given, unless BOP or nerfstudio left a file with them; depth is in millimetres unless the scale is
-given. Names that are times give the clock, else it is regular. Masks are read from ``masks/`` or ``mask_visib/``, poses
-(4x4 camera-to-world) from ``pose/N.txt``.
+The intrinsics must be given, unless BOP or nerfstudio left a file with them; depth is in millimetres unless the scale
+is given. Names that are times give the clock, else it is regular. Masks are read from ``masks/`` or ``mask_visib/``,
+poses (4x4 camera-to-world) from ``pose/N.txt``.
 """
 
 from __future__ import annotations

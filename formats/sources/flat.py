@@ -57,8 +57,8 @@ def read(folder: Path, options: SourceOptions) -> Recording:
 def _require_both(folder: Path, colors: Sequence[Path], depths: Sequence[Path]) -> None:
     if not colors or not depths:
         raise SequenceError(
-            f"{folder}: {len(colors)} pictures named color, rgb or image and {len(depths)} named depth; name both kinds "
-            "so"
+            f"{folder}: {len(colors)} pictures named color, rgb or image and {len(depths)} named depth; name both "
+            "kinds so"
         )
 
 

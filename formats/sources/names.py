@@ -20,9 +20,10 @@ from statistics import mean, median
 from typing import TypeAlias
 
 from threedvc.errors import SequenceError
+from threedvc.formats.sources.notices import Notice
 from threedvc.frame import NANOSECONDS
 
-__all__ = ["Key", "NamedPictures", "in_unit_of", "named_pictures", "ticks_of", "times_in"]
+__all__ = ["Key", "NamedPictures", "doubt_of_steps", "in_unit_of", "named_pictures", "ticks_of", "times_in"]
 
 Key: TypeAlias = tuple[int, ...]
 
@@ -47,6 +48,8 @@ REGULAR_SHARE = 0.9
 """Clocks tick within 20 % of their interval, or of a multiple where frames were lost, in nine of ten cases."""
 RATES = (5, 6, 7.5, 10, 12, 12.5, 15, 20, 24, 25, 30, 45, 48, 50, 60, 75, 90, 100, 120)
 SAME_RATE = 0.03
+LARGEST_STRIDE = 30
+"""Recordings are thinned to a frame a second, rarely further."""
 NANOSECOND_DIGITS, MICROSECOND_DIGITS = 9, 6
 
 
@@ -118,6 +121,22 @@ def in_unit_of(pictures: NamedPictures, other: NamedPictures) -> NamedPictures:
     return replace(pictures, unit_ns=unit, unit=other.unit)
 
 
+def doubt_of_steps(pictures: NamedPictures) -> Notice | None:
+    """Return a doubt about frames' numbers that step as regularly as milliseconds of a usual rate: 0 100 200."""
+    numbers = [key[0] for key in pictures.pictures if len(key) == 1]
+    steps = [later - earlier for earlier, later in pairwise(numbers)]
+    step = min(steps, default=0)
+    if step <= LARGEST_STRIDE or not _is_usual(step) or any(each % step for each in steps):
+        return None
+    first, second = list(pictures.pictures.values())[:2]
+    return Notice(
+        f"{pictures.folder}: the names step by {step} ({first.name}, {second.name}) and are taken for frame numbers; "
+        f"if they are milliseconds ({1000 / step:.3g} frames a second), rename the files to seconds (0.000.png, "
+        f"{step / 1000:.3f}.png)",
+        warning=True,
+    )
+
+
 def times_in(name: str, unit: str) -> list[int]:
     """Return the times in nanoseconds that the numbers in a name can be, in a unit such as ``seconds``."""
     unit_ns = next(each for each, called in UNITS.items() if called == unit)
@@ -156,7 +175,11 @@ def _is_clock_of_milliseconds(steps: Sequence[int]) -> bool:
     if len(near) < REGULAR_SHARE * len(steps):
         return False
     interval = mean(step / max(1, round(step / typical)) for step in near)
-    return any(abs(1000 / interval - rate) <= SAME_RATE * rate for rate in RATES)
+    return _is_usual(interval)
+
+
+def _is_usual(interval_ms: float) -> bool:
+    return any(abs(1000 / interval_ms - rate) <= SAME_RATE * rate for rate in RATES)
 
 
 def _by_key(paths: Sequence[Path], keys: Sequence[Key]) -> dict[Key, Path]:
