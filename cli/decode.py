@@ -103,6 +103,7 @@ def decode(
                     labels=frame.labels,
                     T_world_camera=frame.T_world_camera,
                     T_camera_object=frame.T_camera_object,
+                    color_timestamp_ns=frame.color_timestamp_ns,
                 )
                 progress.advance(progress.frames + 1)
         except TruncatedStream as error:

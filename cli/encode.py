@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from threedvc.cli.options import (
+    READER_OPTIONS,
     bit_rate,
     focus,
     frame_range,
     json_option,
     length,
-    positive_number,
+    reader_options,
     segmentation,
     threads_option,
 )
@@ -30,11 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["encode"]
 
 STANDARD_OUTPUT = Path("-")
-# Written out here because the module that lists them loads OpenCV, which --help must not wait for.
-LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare", "flat")
 PRESETS = ("live", "fast", "medium", "slow")
 SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
-OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "poses")
 
 
 @click.command(short_help="Encode a folder of RGB-D frames.")
@@ -47,18 +45,7 @@ OF_EACH_SENSOR = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps"
               "[default: T_base_depth of intrinsics.json]")  # fmt: skip
 @click.option("--delay", type=float, metavar="SECONDS", multiple=True,
               help="Add to the times of each sensor after the first.  [default: 0]")  # fmt: skip
-@click.option("--layout", type=click.Choice(LAYOUTS), multiple=True, help="Layout of INPUT.  [default: auto]")
-@click.option("--color", metavar="DIR", multiple=True, help="Folder of colour pictures.")
-@click.option("--depth", metavar="DIR", multiple=True, help="Folder of 16-bit depth pictures.")
-@click.option("--intrinsics", metavar="FILE|FX,FY,CX,CY", multiple=True,
-              help="Cameras: an intrinsics.json, or four numbers.")  # fmt: skip
-@click.option("--depth-scale", type=positive_number, metavar="N", multiple=True,
-              help="Units of depth pictures per metre.")  # fmt: skip
-@click.option("--fps", type=positive_number, metavar="N", multiple=True, help="Frame rate of INPUT.")
-@click.option("--poses", metavar="READING", multiple=True,
-              help="What the camera poses of INPUT are: as-given, inverted (world-to-camera), opengl (y up, z back), "
-              "w-first (quaternions w x y z), millimetres, centimetres, body (x forward, z up), left-handed; or "
-              "several joined by +.")  # fmt: skip
+@reader_options
 @click.option("--max-depth", type=length, metavar="LENGTH", help="Ignore measurements beyond.")
 @click.option("--frames", type=frame_range, metavar="A:B[:S]", help="Encode frames A to B-1, every S-th.")
 @click.option("--voxel-size", type=length, metavar="LENGTH", help="Edge of a cell.  [default: from the first frame]")
@@ -125,13 +112,13 @@ def _open(folders: list[Path], choices: dict[str, Any]) -> FrameSequence:
 
     common = {"max_depth_m": choices["max_depth"], "frames": choices["frames"]}
     if len(folders) > 1:
-        each = {name: choices[name] for name in OF_EACH_SENSOR}
+        each = {name: choices[name] for name in READER_OPTIONS}
         return open_sensors(folders, extrinsics=choices["extrinsics"], delays_s=choices["delay"], **each, **common)
-    for name in (*OF_EACH_SENSOR, "extrinsics", "delay"):
-        if len(choices[name]) > (name in OF_EACH_SENSOR):
+    for name in (*READER_OPTIONS, "extrinsics", "delay"):
+        if len(choices[name]) > (name in READER_OPTIONS):
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} is given for more sensors than there are; add --input DIR for the others")
-    return open_sequence(folders[0], **{name: choices[name][0] for name in OF_EACH_SENSOR if choices[name]}, **common)
+    return open_sequence(folders[0], **{name: choices[name][0] for name in READER_OPTIONS if choices[name]}, **common)
 
 
 def _configuration(choices: dict[str, Any], sensors: int) -> EncoderConfig:

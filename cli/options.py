@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OUTPUTS",
+    "READER_OPTIONS",
     "bit_rate",
     "decoded_outputs",
     "focus",
@@ -33,6 +34,7 @@ __all__ = [
     "object_numbers",
     "picture_size",
     "positive_number",
+    "reader_options",
     "segmentation",
     "stream_argument",
     "threads_option",
@@ -40,6 +42,10 @@ __all__ = [
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+# Written out here because the module that lists them loads OpenCV, which --help must not wait for.
+LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare", "flat")
+READER_OPTIONS = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "poses")
+"""Names of what `reader_options` adds: each a tuple, given once, or once for each sensor."""
 OUTPUTS = ("color", "depth", "labels")
 DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
 LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
@@ -152,6 +158,28 @@ def focus(text: str) -> Focus:
         )
     x0, x1, y0, y1, z0, z1 = (-length(each[1:]) if each[0] == "-" else length(each) for each in box.groups())
     return Focus(weight=positive_number(weight), box_m=(x0, x1, y0, y1, z0, z1))
+
+
+def reader_options(function: F) -> F:
+    """Add the options that tell how a recording is read, `READER_OPTIONS`."""
+    options = [
+        click.option("--layout", type=click.Choice(LAYOUTS), multiple=True,
+                     help="Layout of the recording.  [default: auto]"),
+        click.option("--color", metavar="DIR", multiple=True, help="Folder of colour pictures."),
+        click.option("--depth", metavar="DIR", multiple=True, help="Folder of 16-bit depth pictures."),
+        click.option("--intrinsics", metavar="FILE|FX,FY,CX,CY", multiple=True,
+                     help="Cameras: an intrinsics.json, or four numbers."),
+        click.option("--depth-scale", type=positive_number, metavar="N", multiple=True,
+                     help="Units of depth pictures per metre."),
+        click.option("--fps", type=positive_number, metavar="N", multiple=True, help="Frame rate of the recording."),
+        click.option("--poses", metavar="READING", multiple=True,
+                     help="What its camera poses are: as-given, inverted (world-to-camera), opengl (y up, z back), "
+                     "w-first (quaternions w x y z), millimetres, centimetres, body (x forward, z up), left-handed; or "
+                     "several joined by +."),
+    ]  # fmt: skip
+    for option in reversed(options):
+        function = option(function)
+    return function
 
 
 def stream_argument(function: F) -> F:

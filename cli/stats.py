@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from threedvc.cli.files import write_file
-from threedvc.cli.options import json_option, stream_argument
+from threedvc.cli.options import json_option, reader_options, stream_argument
 from threedvc.cli.plotting import check_plotting, plot_statistics
 from threedvc.cli.progress import Progress
 from threedvc.cli.report_lines import report_lines
@@ -30,6 +30,7 @@ POSITION_COLUMNS = ("camera_x_m", "camera_y_m", "camera_z_m")
 @stream_argument
 @click.option("--reference", "references", type=click.Path(path_type=Path), metavar="FOLDER", multiple=True,
               help="Compare with these frames; once for each sensor of the stream.")  # fmt: skip
+@reader_options
 @json_option
 @click.option(
     "--plot",
@@ -51,18 +52,26 @@ def stats(
     plot: Path | None,
     per_frame: Path | None,
     trajectory: Path | None,
+    **choices: Any,
 ) -> None:
     """Report sizes, objects, motion, entropy and, with --reference, the quality of INPUT.3dvc (- is standard input).
 
     The folder of --reference has the frames that were encoded, in any layout that encode reads. Poses and masks that
-    are known there tell the errors of the trajectory and of the objects.
+    are known there tell the errors of the trajectory and of the objects. It is read as the recording was; what the
+    stream does not tell of that is given as for encode, once or once for each --reference.
     """
     from threedvc.formats.statistics import statistics
 
     if plot is not None:
         check_plotting(plot)
     with Progress("compare", None) as progress:
-        report = statistics(source, references or None, on_frame=lambda index: progress.advance(index + 1))
+        report = statistics(
+            source,
+            references or None,
+            options=_of_references(choices, len(references)),
+            on_frame=lambda index: progress.advance(index + 1),
+            on_notice=lambda notice: click.echo(notice, err=True),
+        )
     if per_frame is not None:
         _write_rows(per_frame, report.per_frame)
     if trajectory is not None:
@@ -70,6 +79,20 @@ def stats(
     if plot is not None:
         plot_statistics(report, plot)
     click.echo(report.to_json() if as_json else "\n".join(report_lines(report)))
+
+
+def _of_references(choices: Mapping[str, Sequence[Any]], count: int) -> list[dict[str, Any]]:
+    """Return what is said of each reference."""
+    for name, given in choices.items():
+        if len(given) not in (0, 1, count):
+            option = f"--{name.replace('_', '-')}"
+            raise click.UsageError(
+                f"{option} is given {len(given)} times for {count} references; give it once, or once for each"
+            )
+    return [
+        {name: given[number if len(given) > 1 else 0] for name, given in choices.items() if given}
+        for number in range(count)
+    ]
 
 
 def _write_rows(path: Path, frames: Sequence[FrameStatistics]) -> None:

@@ -165,6 +165,8 @@ class DecodedFrame:
     ----------
     index, timestamp_ns
         Which frame.
+    color_timestamp_ns
+        Time of the colour picture as filmed if that is another, else None.
     sensor, number
         The sensor that took it, from 0, and which of its own frames it is.
     color
@@ -188,6 +190,7 @@ class DecodedFrame:
     labels: NDArray[np.uint8]
     T_world_camera: Pose
     T_camera_object: dict[int, Pose]
+    color_timestamp_ns: int | None = None
 
 
 class DecodedStream:
@@ -278,6 +281,7 @@ class DecodedStream:
         return DecodedFrame(
             index=state.index,
             timestamp_ns=state.timestamp_ns,
+            color_timestamp_ns=state.color_timestamp_ns,
             sensor=state.sensor,
             number=state.number,
             color=picture.color,

@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
 
 from threedvc.camera import CameraRig
@@ -27,7 +28,10 @@ from threedvc.formats.comparison import Comparison, check_comparable, paired
 from threedvc.formats.container import StreamReader
 from threedvc.formats.course import BACKGROUND, Course
 from threedvc.formats.object_comparison import ObjectQuality, SpuriousObject
-from threedvc.formats.sources import open_sequence
+from threedvc.formats.sources import FolderSequence, open_sequence
+from threedvc.formats.sources.notices import Notice, notices_of
+from threedvc.formats.sources.opening import require_folder
+from threedvc.formats.sources.recording import KnownCameras
 from threedvc.formats.spans import Span, spans_of
 from threedvc.formats.tally import PacketTotal, Tally
 from threedvc.formats.visibility import Lookout
@@ -41,6 +45,7 @@ from threedvc.trajectory import TrajectoryError, Travel
 __all__ = [
     "FrameStatistics",
     "ObjectStatistics",
+    "ReferenceOptions",
     "SensorStatistics",
     "StreamStatistics",
     "statistics",
@@ -53,6 +58,8 @@ NAMED = ("relocalised", "weak", "lost")
 """Statuses whose frames are named one by one."""
 
 StreamSource: TypeAlias = str | os.PathLike[str] | BinaryIO
+ReferenceOptions: TypeAlias = Mapping[str, Any]
+"""Options of `open_sequence` by name: layout, color, depth, intrinsics, depth_scale, fps, poses."""
 Reference: TypeAlias = str | os.PathLike[str] | FrameSequence
 
 
@@ -317,7 +324,9 @@ def statistics(
     source: StreamSource,
     reference: Reference | Sequence[Reference] | None = None,
     *,
+    options: Sequence[ReferenceOptions] = (),
     on_frame: Callable[[int], None] | None = None,
+    on_notice: Callable[[Notice], None] | None = None,
 ) -> StreamStatistics:
     """Report what a stream weighs and, with a reference, how well it draws.
 
@@ -329,8 +338,13 @@ def statistics(
     reference
         The frames that were encoded: a folder in any layout, or a sequence; for a stream of several sensors a list of
         these, one for each. Frames are paired in order where both have the same number of them, else by their times.
+    options
+        How the references are read, for folders: as of `open_sequence`, for each of them or one for all. What is not
+        given is taken from what the stream says of its input, then from the recording, then from the stream's cameras.
     on_frame
         Called with the number of each frame that has been compared.
+    on_notice
+        Called with each decision about a reference and each doubt.
 
     Raises
     ------
@@ -341,18 +355,44 @@ def statistics(
     ConfigError
         If there are not as many references as sensors.
     """
-    sequences = [open_sequence(each) if isinstance(each, str | os.PathLike) else each for each in _listed(reference)]
+    references = _listed(reference)
+    for each in references:
+        if isinstance(each, str | os.PathLike):
+            require_folder(Path(each))
     with _file(source) as (file, name):
-        report = _report(file, name)
-        if not sequences or not report.frames:
+        report, decoder = _report(file, name)
+        if not references or not report.frames:
             return report
-        if len(sequences) != len(report.sensors):
+        if len(references) != len(report.sensors):
             raise ConfigError(
-                f"{name}: has {len(report.sensors)} sensors and {len(sequences)} references; give --reference for each "
-                "sensor, in their order"
+                f"{name}: has {len(report.sensors)} sensors and {len(references)} references; give --reference for "
+                "each sensor, in their order"
             )
+        sequences = [
+            _opened_reference(each, decoder, number, options) if isinstance(each, str | os.PathLike) else each
+            for number, each in enumerate(references)
+        ]
+        if on_notice is not None:
+            for notice in (notice for sequence in sequences for notice in notices_of(sequence)):
+                on_notice(notice)
         file.seek(0)
         return _compared(report, open_stream(file, what=PICTURES), sequences, on_frame)
+
+
+def _opened_reference(
+    folder: str | os.PathLike[str], decoder: Decoder, number: int, options: Sequence[ReferenceOptions]
+) -> FolderSequence:
+    """Open a reference as the user says, else as the recording of the sensor was read, with the stream's cameras."""
+    header = [decoder.header, *decoder.sensors][number]
+    assert header is not None
+    known = KnownCameras(
+        rig=rig_of(header),
+        depth_scale=header.depth_scale,
+        fps=NANOSECONDS * header.period_den / header.period_num,
+    )
+    asked = options[number if len(options) > 1 else 0] if options else {}
+    chosen: dict[str, Any] = {**decoder.input_options.get(number, {}), **asked}
+    return open_sequence(folder, known=known, **chosen)
 
 
 def _listed(reference: Reference | Sequence[Reference] | None) -> Sequence[Reference]:
@@ -382,7 +422,7 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
         raise FormatError(f"{os.fspath(path)}: cannot be opened: {error.strerror}; check the name") from None
 
 
-def _report(file: BinaryIO, name: str) -> StreamStatistics:
+def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
     tally, decoder, course = Tally(), Decoder(filmed=False), Course()
     lookouts: dict[int, Lookout] = {}
     packets = tally.counted(StreamReader(file, name).records())
@@ -397,7 +437,7 @@ def _report(file: BinaryIO, name: str) -> StreamStatistics:
     objects, frames = _objects(tally, decoder, course), len(course.times_ns)
     headers: list[StreamHeader | SensorHeader] = [decoder.header, *decoder.sensors]
     sensors = [_sensor(number, header, course) for number, header in enumerate(headers)]
-    return StreamStatistics(
+    report = StreamStatistics(
         name=decoder.header.name,
         complete=decoder.complete,
         file_bytes=file_bytes,
@@ -410,6 +450,7 @@ def _report(file: BinaryIO, name: str) -> StreamStatistics:
         sensors=sensors,
         travel=course.camera_travel(),
     )
+    return report, decoder
 
 
 def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStatistics]:

@@ -24,9 +24,11 @@ from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
+from threedvc.color_times import unpack_color_times
 from threedvc.depth_cells import spread
 from threedvc.depth_video import FilmedDepth, depth_levels
 from threedvc.errors import CorruptStream, LimitExceeded, TruncatedStream
+from threedvc.input_options import InputOptions, unpack_input_options
 from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.object_model import DecodedModel
 from threedvc.packets import (
@@ -95,6 +97,8 @@ class FrameState:
     ----------
     index, timestamp_ns
         Which frame.
+    color_timestamp_ns
+        Time of its colour picture if that is another, else None.
     sensor, number
         The sensor that took it, and which of its own frames it is.
     together
@@ -130,6 +134,7 @@ class FrameState:
     lights: Mapping[int, Light]
     filters: PictureFilter | None
     filmed: FilmedDepth | None
+    color_timestamp_ns: int | None = None
 
 
 def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
@@ -198,6 +203,8 @@ class Decoder:
         self.frame_count = 0
         self.complete = False
         self._entropy_bits: list[float] = []
+        self._color_offsets: dict[int, int] = {}
+        self.input_options: dict[int, InputOptions] = {}
         self._status: list[str] = []
         self._coders: dict[int, PoseCoder] = {}
         self._due: dict[str, int] = {}
@@ -384,6 +391,9 @@ class Decoder:
             self._tell(packet)
 
     def _tell(self, packet: Packet) -> None:
+        self._color_offsets.update(unpack_color_times(packet) or {})
+        if (given := unpack_input_options(packet)) is not None:
+            self.input_options[given[0]] = given[1]
         told = unpack_report(packet)
         if told is not None:
             room = MAX_COUNT - len(self._status)
@@ -538,9 +548,11 @@ class Decoder:
             T_color_camera = compose(first.rig.T_color_depth, first.shift)
             self._backdrop = replace(self._backdrop, T_camera_world=compose(T_color_camera, T_base_world))
             self._hung = True
+        offset = self._color_offsets.pop(frame, 0)
         return FrameState(
             index=frame,
             timestamp_ns=timestamp,
+            color_timestamp_ns=timestamp + offset if offset else None,
             sensor=turn.sensor,
             number=number,
             together=together,

@@ -25,11 +25,13 @@ from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import encode_relief
 from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
+from threedvc.color_times import color_times_packet
 from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
 from threedvc.decoder import models_digest
 from threedvc.finishing import Finish
 from threedvc.focus import finer, focused
 from threedvc.frame import NANOSECONDS
+from threedvc.input_options import input_options_packet
 from threedvc.lighting import light_at
 from threedvc.limits import MAX_COUNT
 from threedvc.model_update import ModelUpdate
@@ -186,7 +188,7 @@ class Emitter:
         return models_digest({number: sent.model for number, sent in self._sent.items()})
 
     def head(self) -> list[Packet]:
-        """Return the STREAM packet, and SENSOR packets for further sensors."""
+        """Return the STREAM packet, SENSOR packets for further sensors, and how the recordings were read if told."""
         count = len(self._info.each_sensor)
         stream = StreamHeader(
             **self._described(0),
@@ -195,7 +197,13 @@ class Emitter:
             given_world=self._info.has_camera_poses,
             sensors=count,
         )
-        return [stream.packet(), *(self._sensor_header(number).packet() for number in range(1, count))]
+        sensors = [self._sensor_header(number).packet() for number in range(1, count)]
+        told = [
+            input_options_packet(number, sensor.read_as)
+            for number, sensor in enumerate(self._info.each_sensor)
+            if sensor.read_as
+        ]
+        return [stream.packet(), *sensors, *told]
 
     def _sensor_header(self, number: int) -> SensorHeader:
         mount = _transform_record(self._info.rigs[number].T_depth_base)
@@ -248,6 +256,9 @@ class Emitter:
             payload = encode_filter(self._filters, self._info.grey)
             around.append(FilterHeader(frame=first).packet(payload, critical=False))
         around += [video for video in self._videos if first <= video.header["f"] < stop]
+        offsets = self._scene.color_offsets[first:stop]
+        if any(offsets):
+            around.append(color_times_packet(first, offsets))
         self._untold += reports
         told = [report_packet(self._untold[at : at + MAX_COUNT]) for at in range(0, len(self._untold), MAX_COUNT)]
         needed = [packet for entry in entries for packet in (*entry.introduction, *entry.poses)]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from threedvc.camera import CameraRig
 from threedvc.errors import ConfigError, SequenceError
+from threedvc.input_options import InputOptions
 from threedvc.pose import Pose, is_rigid
 
 __all__ = [
@@ -83,7 +84,7 @@ class SensorInfo:
         Name for messages and reports.
     rig
         Its cameras, and how they are mounted.
-    depth_scale, fps, grey
+    depth_scale, fps, grey, read_as
         As in `SequenceInfo`.
     """
 
@@ -92,6 +93,7 @@ class SensorInfo:
     depth_scale: float
     fps: float
     grey: bool = False
+    read_as: InputOptions = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,6 +116,8 @@ class SequenceInfo:
         Whether the colour pictures have one channel.
     has_camera_poses, has_object_poses, has_masks
         What the frames carry.
+    read_as
+        Options that the recording was read with where its user gave any, see `threedvc.input_options`.
     sensors
         All sensors, the first one included, where there are several; else empty.
     """
@@ -127,6 +131,7 @@ class SequenceInfo:
     has_camera_poses: bool = False
     has_object_poses: bool = False
     has_masks: bool = False
+    read_as: InputOptions = field(default_factory=dict)
     sensors: tuple[SensorInfo, ...] = ()
 
     def __post_init__(self) -> None:
@@ -138,8 +143,10 @@ class SequenceInfo:
     @property
     def each_sensor(self) -> tuple[SensorInfo, ...]:
         """All sensors, also if there is but one."""
-        alone = SensorInfo(name=self.name, rig=self.rig, depth_scale=self.depth_scale, fps=self.fps, grey=self.grey)
-        return self.sensors or (alone,)
+        if self.sensors:
+            return self.sensors
+        names = ("name", "rig", "depth_scale", "fps", "grey", "read_as")
+        return (SensorInfo(**{name: getattr(self, name) for name in names}),)
 
     @property
     def rigs(self) -> tuple[CameraRig, ...]:

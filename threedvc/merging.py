@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 from threedvc.errors import ConfigError
-from threedvc.frame import NANOSECONDS, Frame, FrameSequence, SensorInfo, SequenceInfo, facts_of
+from threedvc.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo, facts_of
 from threedvc.limits import MAX_SENSORS
 from threedvc.pose import Pose, compose, interpolated, inverse
 
@@ -108,10 +108,7 @@ class MergedSequence:
             has_camera_poses=any(info.has_camera_poses for info in infos),
             has_object_poses=any(info.has_object_poses for info in infos),
             has_masks=any(info.has_masks for info in infos),
-            sensors=tuple(
-                SensorInfo(name=info.name, rig=rig, depth_scale=info.depth_scale, fps=info.fps, grey=info.grey)
-                for info, rig in zip(infos, rigs, strict=True)
-            ),
+            sensors=tuple(replace(info.each_sensor[0], rig=rig) for info, rig in zip(infos, rigs, strict=True)),
         )
         self._camera, self._objects = self._courses()
 

@@ -194,6 +194,8 @@ class Scene:
     ----------
     distance_m
         Median depth of the first frame that has any.
+    color_offsets
+        For each frame, how many nanoseconds later than its depth picture its colour picture was taken.
     sensors, together
         For each frame, the sensor that took it, and whether it did so at the moment of the frame before.
     repeated
@@ -227,6 +229,7 @@ class Scene:
         self.division = division
         self.objects: dict[int, SceneObject] = {}
         self.timestamps: list[int] = []
+        self.color_offsets: list[int] = []
         self.sensors: list[int] = []
         self.together: list[bool] = []
         self.repeated: list[bool] = []
@@ -280,6 +283,9 @@ class Scene:
                         look.seen = self._exposed(item, look.seen, sight.mask, T_camera_object)
                     self._fuse(item, look.seen, sight.mask, T_camera_object, self.sensor_of(frame.sensor))
         self.timestamps += [frame.timestamp_ns for frame in frames]
+        self.color_offsets += [
+            0 if frame.color_timestamp_ns is None else frame.color_timestamp_ns - frame.timestamp_ns for frame in frames
+        ]
         return worst
 
     def _look(self, frame: Frame) -> _Look:

@@ -9,6 +9,7 @@ from pathlib import Path
 from threedvc.formats.sources.intrinsics import CameraFile
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording, SourceOptions
+from threedvc.input_options import InputOptions
 
 __all__ = ["assemble"]
 
@@ -41,7 +42,7 @@ def assemble(
     notices
         Decisions of the layout's reader; the doubts about the cameras are added.
     """
-    told = options.depth_scale or cameras.depth_scale
+    told = options.depth_scale or cameras.depth_scale or (options.known.depth_scale if options.known else None)
     return Recording(
         folder=folder,
         frames=tuple(frames),
@@ -52,4 +53,10 @@ def assemble(
         T_base_depth=cameras.T_base_depth,
         poses_from=poses_from,
         notices=(*notices, *cameras.notices),
+        read_as=_contradiction(options.depth_scale, cameras.depth_scale),
     )
+
+
+def _contradiction(asked: float | None, told: float | None) -> InputOptions:
+    """Return the depth scale that the user gives where the recording tells another one."""
+    return {} if asked is None or told in (None, asked) else {"depth_scale": asked}

@@ -16,7 +16,7 @@ from threedvc.formats.sources.camera_checks import check_camera, check_rig, doub
 from threedvc.formats.sources.images import read_header
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.poses import rigid_poses
-from threedvc.formats.sources.recording import SourceOptions, resolved
+from threedvc.formats.sources.recording import KnownCameras, SourceOptions, resolved
 from threedvc.formats.sources.text import read_json, read_rows
 from threedvc.pose import Pose
 
@@ -60,7 +60,7 @@ def find_cameras(
     color, depth = (read_header(path).size for path in pair)
     own = read_intrinsics(own_file, color, depth) if own_file else None
     if options.intrinsics is None:
-        return own
+        return own if own is not None or options.known is None else _of_stream(options.known)
     path = resolved(folder, options.intrinsics)
     given = read_intrinsics(path, color, depth) if path.is_file() else numbers_option(options.intrinsics, color, depth)
     if own is None:
@@ -69,6 +69,10 @@ def find_cameras(
     return replace(
         given, depth_scale=given.depth_scale or own.depth_scale, fps=given.fps or own.fps, T_base_depth=mount
     )
+
+
+def _of_stream(known: KnownCameras) -> CameraFile:
+    return CameraFile(rig=known.rig, depth_scale=known.depth_scale, fps=known.fps)
 
 
 def published_camera(camera: Camera | None, pair: PicturePair, *, nominal: str | None = None) -> CameraFile:

@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
-from threedvc.formats.sources.recording import Recording, SourceOptions
+from threedvc.formats.sources.recording import KnownCameras, Recording, SourceOptions
 from threedvc.formats.sources.registry import AUTO, find_layout
 from threedvc.formats.sources.sequence import FolderSequence
+from threedvc.input_options import InputOptions
 from threedvc.pose_readings import AS_GIVEN, PoseReading, pose_reading
 
-__all__ = ["FrameRange", "open_sequence"]
+__all__ = ["FrameRange", "open_sequence", "require_folder"]
 
 FrameRange = tuple[int | None, int | None, int | None]
 
@@ -31,6 +32,7 @@ def open_sequence(
     poses: str | None = None,
     max_depth_m: float | None = None,
     frames: FrameRange | None = None,
+    known: KnownCameras | None = None,
 ) -> FolderSequence:
     """Open an RGB-D recording as a sequence of frames.
 
@@ -56,6 +58,8 @@ def open_sequence(
     frames
         ``(start, stop, step)`` as in a slice, except that a range beyond the end is an error and `step` is
         positive. Frames are numbered from 0 again and keep their stamps.
+    known
+        Cameras, depth scale and rate for a recording that does not tell them: those of a stream that was made of it.
 
     Returns
     -------
@@ -73,7 +77,7 @@ def open_sequence(
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ConfigError(f"{name} {value:g}: must be a positive number; correct it or leave it out")
     folder = Path(path)
-    _require_folder(folder)
+    require_folder(folder)
     options = SourceOptions(
         color=_text(color),
         depth=_text(depth),
@@ -81,10 +85,33 @@ def open_sequence(
         depth_scale=depth_scale,
         fps=fps,
         poses=poses,
+        known=known,
     )
     reading = pose_reading(poses or AS_GIVEN)
     recording = _with_reading(find_layout(folder, layout, options).read(folder, options), reading)
+    recording = replace(recording, read_as={**recording.read_as, **_given(folder, layout, options)})
     return FolderSequence(_cut(recording, frames) if frames else recording, max_depth_m=max_depth_m)
+
+
+def _given(folder: Path, layout: str, options: SourceOptions) -> InputOptions:
+    """Return what a reader cannot tell by itself; folders only where they are in it: others are nobody's business."""
+    given: dict[str, str | float] = {}
+    if layout != AUTO and layout != _own_layout(folder, options):
+        given["layout"] = layout
+    for name in ("color", "depth"):
+        place = getattr(options, name)
+        if place is not None and not Path(place).is_absolute() and (folder / place).is_dir():
+            given[name] = place
+    if options.poses is not None:
+        given["poses"] = options.poses
+    return given
+
+
+def _own_layout(folder: Path, options: SourceOptions) -> str | None:
+    try:
+        return find_layout(folder, AUTO, options).name
+    except SequenceError:
+        return None
 
 
 def _with_reading(recording: Recording, reading: PoseReading) -> Recording:
@@ -102,7 +129,8 @@ def _text(path: str | os.PathLike[str] | None) -> str | None:
     return None if path is None else os.fspath(path)
 
 
-def _require_folder(folder: Path) -> None:
+def require_folder(folder: Path) -> None:
+    """Check that a recording is a folder that is there; raises SequenceError."""
     if folder.is_file():
         raise SequenceError(f"{folder}: is a file; give the folder of an RGB-D recording")
     if not folder.is_dir():

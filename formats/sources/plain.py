@@ -148,7 +148,7 @@ def _clock(folder: Path, pairing: Pairing, told: float | None) -> Clock:
         counted = Notice(f"{path}: its stamps count frames; they are taken to be {fps:g} per second")
         return replace(regular, notices=(counted,))
     ticks = UNITS[unit]
-    timed = [(stamp * ticks, None if color is None else color * ticks) for stamp, color in stamps]
+    timed = [(stamp * ticks, None if color in (None, stamp) else color * ticks) for stamp, color in stamps]
     clock = clock_of(timed, len(timed), told, str(path))
     taken = (Notice(f"{path}: its stamps are taken for {unit}"),) if ticks > 1 else ()
     return replace(clock, notices=(*taken, *clock.notices))

@@ -13,6 +13,7 @@ from pathlib import Path
 from threedvc.camera import CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
+from threedvc.input_options import InputOptions
 from threedvc.pose import Pose
 
 __all__ = [
@@ -47,6 +48,8 @@ class SourceOptions:
         Nominal frame rate.
     poses
         What the camera poses are to be taken for, see `threedvc.pose_readings`.
+    known
+        Cameras for a recording that tells none.
     """
 
     color: str | None = None
@@ -55,6 +58,19 @@ class SourceOptions:
     depth_scale: float | None = None
     fps: float | None = None
     poses: str | None = None
+    known: KnownCameras | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownCameras:
+    """Cameras that are known beside the recording: those of a stream that was made of it.
+
+    They stand in for what neither the user nor the recording says.
+    """
+
+    rig: CameraRig
+    depth_scale: float
+    fps: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,6 +114,8 @@ class Recording:
         File or folder that the camera poses were read from, for messages.
     notices
         Decisions of the reader that the user should know.
+    read_as
+        The options that the user gave, so that the recording can be read so again.
     """
 
     folder: Path
@@ -109,6 +127,7 @@ class Recording:
     T_base_depth: Pose | None = None
     poses_from: Path | None = None
     notices: tuple[Notice, ...] = ()
+    read_as: InputOptions = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,7 +86,7 @@ def _pairs(color_folder: Path, depth_folder: Path) -> Pairing:
     if not matches:
         raise SequenceError(f"{color_folder}: no picture within 20 ms of one in {depth_folder}; check the file names")
     pairs = [(colors[i], depths[j]) for i, j in matches]
-    stamps = [(depth_stamps[j], color_stamps[i]) for i, j in matches]
+    stamps = [(depth_stamps[j], None if color_stamps[i] == depth_stamps[j] else color_stamps[i]) for i, j in matches]
     notices = left_out(len(colors), len(depths), len(matches), str(depth_folder.parent))
     return Pairing(pairs, list(range(len(pairs))), stamps, tuple(notices))
 

@@ -76,6 +76,7 @@ class FolderSequence:
             fps=recording.fps,
             frame_count=len(frames),
             grey=channels == {1},
+            read_as=recording.read_as,
             has_camera_poses=all(frame.T_world_camera is not None for frame in frames),
             has_object_poses=any(frame.T_camera_object for frame in frames),
             has_masks=frames[0].mask is not None or bool(frames[0].object_masks),

@@ -93,7 +93,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
             color=pair.color,
             depth=pair.depth,
             timestamp_ns=pair.depth_stamp,
-            color_timestamp_ns=pair.color_stamp,
+            color_timestamp_ns=None if pair.color_stamp == pair.depth_stamp else pair.color_stamp,
             T_world_camera=interpolate_pose(stamps, poses, pair.depth_stamp),
         )
         for pair in listed

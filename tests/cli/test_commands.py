@@ -21,8 +21,9 @@ from click.testing import CliRunner, Result
 import threedvc
 from streams import FRAMES, FakeStream, ListSequence, packed_stream, roaming_stream
 from threedvc.cli import explore as explore_module
-from threedvc.cli.encode import LAYOUTS, SENSORS
+from threedvc.cli.encode import SENSORS
 from threedvc.cli.main import main
+from threedvc.cli.options import LAYOUTS
 from threedvc.config import Motion, SegmentationMode, Sensor
 from threedvc.errors import OutputError, RegistrationFailed
 from threedvc.formats import api

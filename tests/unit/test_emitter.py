@@ -55,6 +55,7 @@ def scene_of(
         info=INFO,
         objects=objects,
         timestamps=list(times),
+        color_offsets=[0] * len(times),
         gains=gains,
         sensors=sensors,
         together=together,
