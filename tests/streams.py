@@ -197,6 +197,7 @@ class FakeDecodedFrame:
     T_world_camera: Pose
     T_camera_object: Mapping[int, Pose]
     sensor: int = 0
+    color_timestamp_ns: int | None = None
 
 
 class FakeStream:

@@ -42,6 +42,7 @@ from threedvc.rate_control import (
     stream_bytes,
     surface_room,
 )
+from threedvc.readout import read_surface
 from threedvc.refinement import calibrated_info, depth_misfit, noisier_sensors, refined_script
 from threedvc.registration import RegistrationConfig, Status
 from threedvc.report import FrameReport
@@ -137,6 +138,7 @@ class Encoder:
             self._join_parts(cast(FrameSequence, frames), on_frame)
         if again:
             self._settle(cast(FrameSequence, frames), on_frame)
+        self._check_surfaces()
         self._check_focus()
         finished = None
         if again:
@@ -189,6 +191,15 @@ class Encoder:
         if division.is_sure:
             self.config = config
             self.scene = Scene(self.info, config, None, division)
+
+    def _check_surfaces(self) -> None:
+        """Raise SequenceError if depth was measured and makes no surface: a stream of it would draw nothing."""
+        models = [item.evidence for item in self.scene.objects.values() if item.evidence.index.count]
+        if models and not any(len(read_surface(model, self.config.threads).cells) for model in models):
+            raise SequenceError(
+                f"{self.info.name}: the depth of its {len(self.reports)} frames makes no surface; it is too sparse, or "
+                "too noisy for --sensor, or its poses are wrong (--motion track)"
+            )
 
     def _check_focus(self) -> None:
         """Raise ConfigError if a focus is on an object that is not there; a live encoder cannot know."""
@@ -500,7 +511,10 @@ class Encoder:
         if not self.reports:
             raise SequenceError(f"{self.info.name} has no frames")
         if not self.config.causal and not any(item.evidence.index.count for item in self.scene.objects.values()):
-            raise SequenceError(f"{self.info.name}: no frame has a depth measurement that could be used")
+            raise SequenceError(
+                f"{self.info.name}: no frame has a depth measurement that could be used; all may lie beyond the reach "
+                "of its sensor: give --sensor lidar, or --max-depth"
+            )
         return Emitter(self.scene, config or self.config, finished, picture_step, filters, videos)
 
     def _batches(self, emitter: Emitter, first: int, *, last: bool) -> Iterator[Packet]:

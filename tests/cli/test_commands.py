@@ -31,6 +31,7 @@ from threedvc.formats import statistics as statistics_module
 from threedvc.formats.container.layout import SYNC
 from threedvc.formats.sinks import PlainSink
 from threedvc.formats.sources import layout_names, open_sequence
+from threedvc.formats.sources.notices import Notice
 
 
 def run(*arguments: object, **options: Any) -> Result:
@@ -85,7 +86,16 @@ class FakeEncoder:
         self.error = error
         self.calls: list[SimpleNamespace] = []
 
-    def __call__(self, source: Any, output: Any, config: Any, *, verify: bool, on_frame: Callable[[Any], None]) -> Any:
+    def __call__(
+        self,
+        source: Any,
+        output: Any,
+        config: Any,
+        *,
+        verify: bool,
+        on_frame: Callable[[Any], None],
+        on_notice: Callable[[Notice], None],
+    ) -> Any:
         self.calls.append(SimpleNamespace(source=source, output=output, config=config, verify=verify))
         for index in range(2):
             on_frame(SimpleNamespace(index=index, bytes_so_far=1000 * index))
@@ -99,6 +109,7 @@ class FakeEncoder:
             voxel_size_m=0.016,
             lost_frames=[3],
             digest=bytes.fromhex("00ff"),
+            notices=(Notice("odd", warning=True),),
         )
 
 
@@ -221,6 +232,7 @@ class TestEncode:
             "voxel_size_m": 0.016,
             "lost_frames": [3],
             "digest": "00ff",
+            "notices": [{"text": "odd", "warning": True}],
         }
 
     def test_json_and_stream_do_not_mix(self, fake_encoder: FakeEncoder, recording: Path) -> None:

@@ -522,10 +522,10 @@ def test_bad_timestamps(recording: Path, line: str, expected: str) -> None:
 
 def test_timestamps_are_exact(recording: Path) -> None:
     start, step = 1_700_000_000_123_456_789, 33_333_333
-    write_lines(recording / "timestamps.txt", [f"{k} {start + k * step} {start - k}" for k in range(FRAMES)])
+    write_lines(recording / "timestamps.txt", [f"{k} {start + k * step} {start + 5 - k}" for k in range(FRAMES)])
     sequence = open_sequence(recording)
     assert [frame.timestamp_ns - start for frame in sequence] == [0, step, 2 * step, 3 * step]
-    assert [frame.color_timestamp_ns for frame in sequence] == [start, start - 1, start - 2, start - 3]
+    assert [frame.color_timestamp_ns for frame in sequence] == [start + 5, start + 4, start + 3, start + 2]
 
 
 @pytest.mark.parametrize(
