@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from threedvc.formats.sources.intrinsics import CameraFile
+from threedvc.formats.sources.masks import unread_masks
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording, SourceOptions
 from threedvc.input_options import InputOptions
@@ -40,7 +41,7 @@ def assemble(
     poses_from
         Where the camera poses were read from.
     notices
-        Decisions of the layout's reader; the doubts about the cameras are added.
+        Decisions of the layout's reader; the doubts about the cameras, and masks that it did not read, are added.
     """
     told = options.depth_scale or cameras.depth_scale or (options.known.depth_scale if options.known else None)
     return Recording(
@@ -52,7 +53,7 @@ def assemble(
         fps=fps,
         T_base_depth=cameras.T_base_depth,
         poses_from=poses_from,
-        notices=(*notices, *cameras.notices),
+        notices=(*notices, *unread_masks(folder, frames), *cameras.notices),
         read_as=_contradiction(options.depth_scale, cameras.depth_scale),
     )
 

@@ -16,6 +16,7 @@ from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import PICTURE_SUFFIXES, list_pictures, pair_named
 from threedvc.formats.sources.intrinsics import REMEDY, find_cameras
 from threedvc.formats.sources.names import named_pictures
+from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import MILLIMETRES, FrameFiles, Layout, Recording, SourceOptions
 from threedvc.formats.sources.timestamps import clock_of
 
@@ -38,6 +39,10 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     depths = [path for path in pictures if DEPTH.search(path.stem)]
     colors = [path for path in pictures if COLOR.search(path.stem) and not DEPTH.search(path.stem)]
     _require_both(folder, colors, depths)
+    others = [path for path in pictures if not COLOR.search(path.stem) and not DEPTH.search(path.stem)]
+    unread = (
+        [Notice(f"{folder}: {len(others)} pictures of neither kind are not read ({others[0].name})")] if others else []
+    )
     pairing = pair_named(named_pictures(folder, colors), named_pictures(folder, depths))
     own = next((folder / name for name in INTRINSICS_NAMES if (folder / name).is_file()), None)
     cameras = find_cameras(folder, options, pairing.pairs[0], own)
@@ -50,7 +55,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     ]
     return assemble(
         folder, frames, cameras, options, depth_scale=MILLIMETRES, fps=clock.fps,
-        notices=(*pairing.notices, *clock.notices),
+        notices=(*unread, *pairing.notices, *clock.notices),
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from threedvc.formats.sources.names import times_in
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles
 
-__all__ = ["Masks", "blends", "check_masks", "find_masks", "merged_labels"]
+__all__ = ["Masks", "blends", "check_masks", "find_masks", "merged_labels", "unread_masks"]
 
 FOLDERS = ("masks", "mask_visib", "mask")
 OBJECT_MASK = re.compile(r"(\d{6})_(\d{6})")
@@ -218,6 +218,16 @@ def check_masks(frames: Sequence[FrameFiles], read: Callable[[Path], NDArray[np.
     doubts = [_blend_doubt(paths[place], read) for place in sorted(places)]
     told = _object_doubts(frames[0].object_masks, read)
     return [*[doubt for doubt in doubts if doubt is not None][:1], *told]
+
+
+def unread_masks(folder: Path, frames: Sequence[FrameFiles]) -> list[Notice]:
+    """Tell that a recording has masks which its layout does not read."""
+    if any(frame.mask or frame.object_masks for frame in frames):
+        return []
+    places = (folder / name for name in FOLDERS if any((folder / name).glob("*.png")))
+    return [
+        Notice(f"{place}: masks are not read in this layout; --layout bare or plain reads them") for place in places
+    ]
 
 
 def _is_jpeg(path: Path) -> bool:
