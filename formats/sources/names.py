@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from decimal import Decimal
 from itertools import pairwise
 from math import gcd
@@ -29,6 +30,11 @@ Key: TypeAlias = tuple[int, ...]
 
 DECIMAL = re.compile(r"\d+\.\d+|\d+")
 WHOLE = re.compile(r"\d+")
+DATE = re.compile(
+    r"(?<!\d)(?P<year>(?:19|20)\d\d)[-_.]?(?P<month>\d\d)[-_.]?(?P<day>\d\d)[-_. T]?"
+    r"(?P<hour>\d\d)[-_.:]?(?P<minute>\d\d)[-_.:]?(?P<second>\d\d)(?:[-_.,](?P<part>\d{1,9}))?(?!\d)"
+)
+DATE_UNITS = ("year", "month", "day", "hour", "minute", "second")
 MILLISECOND_NS = 1_000_000
 UNITS = {NANOSECONDS: "seconds", MILLISECOND_NS: "milliseconds", 1_000: "microseconds", 1: "nanoseconds"}
 SHORTEST_NS, LONGEST_NS = NANOSECONDS // 500, 2 * NANOSECONDS
@@ -228,20 +234,43 @@ def _one_of(paths: Sequence[Path], columns: Sequence[tuple[int, ...]]) -> tuple[
 
 def _decimal_times(paths: Sequence[Path]) -> tuple[list[int], int] | None:
     """Return the times in nanoseconds of files that are named by decimal numbers, and the unit of these."""
-    found = [DECIMAL.findall(path.stem) for path in paths]
-    if len(found) < 2 or len({len(numbers) for numbers in found}) != 1:
+    column = _dates(paths) or _decimals(paths)
+    if column is None or _counts(column):
         return None
-    telling = [column for column in zip(*found, strict=True) if len(set(column)) > 1]
-    if len(telling) == 2 and _are_seconds_and_parts(*telling):
-        telling = [tuple(f"{whole}.{part}" for whole, part in zip(*telling, strict=True))]
-    if len(telling) != 1 or not any("." in number for number in telling[0]) or _counts(telling[0]):
-        return None
-    stamps = [Decimal(number) for number in telling[0]]
+    stamps = [Decimal(number) for number in column]
     steps = [later - earlier for earlier, later in pairwise(sorted(stamps)) if later > earlier]
     unit = _fitting_unit(median(steps), max(stamps)) if steps else None
     if unit is None:
         return None
     return [int((stamp * unit).to_integral_value()) for stamp in stamps], unit
+
+
+def _decimals(paths: Sequence[Path]) -> Sequence[str] | None:
+    """Return the decimal number of each name, if that is all that changes in them."""
+    found = [DECIMAL.findall(path.stem) for path in paths]
+    if len(found) < 2 or len({len(numbers) for numbers in found}) != 1:
+        return None
+    telling = [column for column in zip(*found, strict=True) if len(set(column)) > 1]
+    if len(telling) == 2 and _are_seconds_and_parts(*telling):
+        return [f"{whole}.{part}" for whole, part in zip(*telling, strict=True)]
+    return telling[0] if len(telling) == 1 and any("." in number for number in telling[0]) else None
+
+
+def _dates(paths: Sequence[Path]) -> Sequence[str] | None:
+    """Return the seconds since 1970 of names that have a date and a time of day, ``2026-11-30_12-30-05.033``."""
+    matches = [DATE.search(path.stem) for path in paths]
+    if len(matches) < 2 or len({len(match["part"] or "") for match in matches if match}) != 1:
+        return None
+    seconds = []
+    for match in matches:
+        if match is None or (match["part"] is None and match["hour"] == "00"):
+            return None  # After a date, 000012 is rather a frame's number than twelve seconds past midnight.
+        try:
+            moment = datetime(*(int(match[unit]) for unit in DATE_UNITS), tzinfo=UTC)  # type: ignore[misc, arg-type]
+        except ValueError:
+            return None
+        seconds.append(f"{int(moment.timestamp())}.{match['part'] or '0'}")
+    return seconds if len(set(seconds)) > 1 else None
 
 
 def _are_seconds_and_parts(whole: Sequence[str], parts: Sequence[str]) -> bool:
