@@ -39,6 +39,9 @@ MIN_POINTS = 300
 MARGIN = 0.12
 """Poses of good recordings disagree on up to .07 more of the depth than a registration of neighbours does."""
 RATIO = 3.0
+OTHER_MOTION, OTHER_MARGIN = 0.5, 0.03
+"""Less is enough where the poses also move the frames otherwise than a registration does, by this share of the motion:
+good recordings come to .3, but those whose depth no rigid motion explains to .9."""
 SAME_MOTION = 0.3
 """Poses that move a frame as a registration does differ from it by less than this share of the motion."""
 AS_GOOD = 0.03
@@ -107,6 +110,8 @@ class PoseAgreement:
         Under other readings, by name; only those that move the frames as the registration does.
     registered
         After a short registration of the frames; None where that found nothing.
+    motion_off
+        Median of what the motions of registered frames differ from the given ones by, over the motions themselves.
     shift
         Number of frames by which the poses seem to be those of later frames (earlier ones, if negative), and what
         disagrees if they are moved; None if that was not looked for or does not explain them.
@@ -115,6 +120,7 @@ class PoseAgreement:
     as_given: float
     readings: Mapping[str, float] = field(default_factory=dict)
     registered: float | None = None
+    motion_off: float = 0.0
     shift: tuple[int, float] | None = None
 
     @property
@@ -125,7 +131,8 @@ class PoseAgreement:
     @property
     def contradicts(self) -> bool:
         """Whether the poses cannot be right."""
-        return self.as_given > self.best + MARGIN and self.as_given > RATIO * self.best
+        margin = OTHER_MARGIN if self.motion_off >= OTHER_MOTION else MARGIN
+        return self.as_given > self.best + margin and self.as_given > RATIO * self.best
 
     @property
     def reading(self) -> PoseReading | None:
@@ -280,18 +287,32 @@ def _agreement(pairs: Sequence[_Pair]) -> PoseAgreement | None:
         as_given=as_given,
         readings={name: share for name, share in readings.items() if share is not None},
         registered=registered if chosen is sure else None,
+        motion_off=_motion_off(sure) if chosen is sure else 0.0,
     )
 
 
 def _moves_alike(pairs: Sequence[_Pair], reading: PoseReading) -> bool:
     """Tell whether poses, read so, move the frames of registered pairs about as the registration does."""
-    off, motion = 0.0, 0.0
+    offs, motions = zip(*_motions(pairs, reading), strict=True)
+    return bool(sum(offs) <= SAME_MOTION * sum(motions))
+
+
+def _motion_off(pairs: Sequence[_Pair]) -> float:
+    """Return the median of what given motions are off by over the motions, 0 for a camera at rest."""
+    return float(np.median([off / motion for off, motion in _motions(pairs) if motion] or [0.0]))
+
+
+def _motions(pairs: Sequence[_Pair], reading: PoseReading | None = None) -> Iterator[tuple[float, float]]:
+    """Yield for registered pairs by how much the poses are off, and the motion: medians over depth."""
     for pair in pairs:
         assert pair.registered is not None
         found, read = (pair.points @ T[:3, :3].T + T[:3, 3] for T in (pair.registered, pair.given(reading)))
-        off += float(np.median(np.linalg.norm(found - read, axis=1) / pair.points[:, 2]))
-        motion += float(np.median(np.linalg.norm(found - pair.points, axis=1) / pair.points[:, 2]))
-    return off <= SAME_MOTION * motion
+        off, motion = found - read, found - pair.points
+        depth = pair.points[:, 2]
+        yield (
+            float(np.median(np.linalg.norm(off, axis=1) / depth)),
+            float(np.median(np.linalg.norm(motion, axis=1) / depth)),
+        )
 
 
 def _shift(pairs: Sequence[_Pair], poses: Sequence[Pose | None], best: float) -> tuple[int, float] | None:
