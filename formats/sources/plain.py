@@ -77,6 +77,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         _require_number(path)
     clock = _clock(folder, pairing, options.fps or cameras.fps)
     masks = find_masks(folder, pairing)
+    has_times = (folder / TIMESTAMPS).is_file() and not pairing.stamps
     return assemble(
         folder,
         _frames(folder, pairing, clock, masks),
@@ -85,7 +86,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         depth_scale=MILLIMETRES,
         fps=clock.fps,
         poses_from=folder / POSES,
-        notices=(*pairing.notices, *clock.notices, *masks.notices),
+        notices=(*(() if has_times else pairing.notices), *clock.notices, *masks.notices),
     )
 
 

@@ -650,3 +650,12 @@ def test_unreadable_text_file(recording: Path) -> None:
     path.rmdir()
     path.write_bytes(b"\xff\x00")
     assert message(recording) == f"{path}: is not a text file; check that the file is what its name says"
+
+
+def test_doubts_about_numbers_end_where_times_are_given(recording: Path) -> None:
+    for kind in ("color", "depth"):
+        for k in reversed(range(FRAMES)):
+            (recording / kind / f"{k:06d}.png").rename(recording / kind / f"{k * 100:06d}.png")
+    assert "step by 100 (000000.png, 000100.png)" in open_sequence(recording).notices[0].text
+    write_lines(recording / "timestamps.txt", [f"{k * 100} {k * 100_000_000}" for k in range(FRAMES)])
+    assert not any("step by 100" in notice.text for notice in open_sequence(recording).notices)
