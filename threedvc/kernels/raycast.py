@@ -22,6 +22,7 @@ __all__ = ["cast_rays", "surface_at", "tile_ranges"]
 
 OPACITY = 0.3
 FAR = 1e9
+"""No surface, as a distance in cells or a depth in metres: nothing is drawn that far away."""
 GRAZE = 0.4
 RIM = 0.15
 FRONTAL = 0.3
@@ -29,6 +30,11 @@ MAX_DISTANCE = 2.0
 NEAR_END = 0.95
 PLANE_SCALE = 127.0
 LEAST_NORMAL = 1.0
+BLOCK_NUDGE, RAY_NUDGE = 1e-9, 1e-6
+"""How far in cells a ray is pushed over the boundary of cells, or blocks, so that it lies behind it when rounded."""
+ROUNDING = 1e-15
+"""Some rounding errors of a 64-bit number, as a share of it: a push is no shorter, or cells a million cells away would
+hold a ray for ever."""
 LOWEST = np.array([0] + [(bits & -bits).bit_length() - 1 for bits in range(1, 256)])
 """Place of the lowest bit that is set."""
 
@@ -279,12 +285,12 @@ def cast_in_block(
         The parameter of the hit, or FAR, and what the next block takes.
     """
     abs_x, abs_y, abs_z = abs(inverse_x), abs(inverse_y), abs(inverse_z)
-    nudge = 1e-9 * min(abs_x, abs_y, abs_z)
+    nudge = max(BLOCK_NUDGE * min(abs_x, abs_y, abs_z), ROUNDING * t_end)
     step_x, step_y, step_z = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1, 1 if dz > 0.0 else -1
     qx, qy, qz = (px if dx <= 0.0 else px - 1.0), (py if dy <= 0.0 else py - 1.0), (pz if dz <= 0.0 else pz - 1.0)
     hit, inside = FAR, True
     while inside:
-        before = FAR
+        before, began = FAR, t
         ix = min(max(np.int64(np.floor(px + t * dx)), 0), 7)
         iy = min(max(np.int64(np.floor(py + t * dy)), 0), 7)
         iz = min(max(np.int64(np.floor(pz + t * dz)), 0), 7)
@@ -315,7 +321,8 @@ def cast_in_block(
             gx, gy, gz = -ux, -uy, -uz
             free = skip[block, ix + 8 * iy + 64 * iz] - 1
             t = min(tx + free * abs_x, ty + free * abs_y, tz + free * abs_z) + nudge
-            inside = hit == FAR and t < t_end
+            # Were a ray that far away set back by rounding, it could go round for ever.
+            inside = hit == FAR and began < t < t_end
     return hit, passed_at, passed, crossed, gx, gy, gz
 
 
@@ -345,14 +352,14 @@ def cast_rays(
         sx, sy = rays[r, 0], rays[r, 1]
         column = min(max(np.int64((sx - tile_origin[0]) / tile_size[0]), 0), tile_near.shape[1] - 1)
         row = min(max(np.int64((sy - tile_origin[1]) / tile_size[1]), 0), tile_near.shape[0] - 1)
-        t, t_far = tile_near[row, column], tile_far[row, column]
+        t, t_far = tile_near[row, column], min(tile_far[row, column], FAR)
         if depth[r] > 0.0:
             t_far = min(t_far, np.float64(depth[r]))
         dx = away_from_zero(T[0, 0] * sx + T[0, 1] * sy + T[0, 2])
         dy = away_from_zero(T[1, 0] * sx + T[1, 1] * sy + T[1, 2])
         dz = away_from_zero(T[2, 0] * sx + T[2, 1] * sy + T[2, 2])
         inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
-        nudge = 1e-6 * min(abs(inverse_x), abs(inverse_y), abs(inverse_z))
+        nudge = max(RAY_NUDGE * min(abs(inverse_x), abs(inverse_y), abs(inverse_z)), ROUNDING * t_far)
         norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
         ux, uy, uz = dx * norm, dy * norm, dz * norm
         passed_at, passed, crossed, gx, gy, gz = FAR, FAR, FAR, -ux, -uy, -uz

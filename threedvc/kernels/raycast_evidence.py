@@ -7,7 +7,7 @@ import numpy as np
 
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_block, find_cell
-from threedvc.kernels.raycast import next_crossing
+from threedvc.kernels.raycast import RAY_NUDGE, ROUNDING, next_crossing
 
 __all__ = ["cast_evidence", "fill_between", "interpolate"]
 
@@ -65,7 +65,7 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
     """Return the depth at which a ray passes from the front of a known surface to its back, or 0."""
     root_origin, root, supers = tables
     norm = np.sqrt(dx * dx + dy * dy + dz * dz)
-    nudge = 1e-6 / norm
+    nudge = max(RAY_NUDGE / norm, ROUNDING * t_far)
     before, t_before = UNKNOWN, 0.0
     block, bx, by, bz = np.int32(-1), np.int64(0), np.int64(0), np.int64(0)
     while t < t_far:
