@@ -11,6 +11,7 @@ import click
 
 from threedvc.cli.options import (
     decoded_outputs,
+    force_option,
     frame_span,
     object_numbers,
     picture_size,
@@ -45,6 +46,7 @@ FILTERS = ("all", "none", "silhouettes", "surfaces")
               help="Depth as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
 @click.option("--supersample", type=click.IntRange(1, 4), metavar="1..4",
               help="Rays per pixel side for colour.  [default: 2 on small pictures, else 1]")  # fmt: skip
+@force_option
 @threads_option
 def decode(
     source: Path,
@@ -58,11 +60,13 @@ def decode(
     filter_parts: str,
     depth_from: str,
     supersample: int | None,
+    force: bool,
     threads: int | None,
 ) -> None:
     """Decode INPUT.3dvc (- is standard input) into color/, depth/ and masks/ with the cameras and poses in OUTDIR.
 
-    The frames of several sensors go into OUTDIR/sensor0, OUTDIR/sensor1, ... A stream that ends too early is decoded
+    An earlier output of decode is replaced when the first frame comes; other recordings stay as they are. The frames of
+    several sensors go into OUTDIR/sensor0, OUTDIR/sensor1, ... A stream that ends too early is decoded
     as far as it goes; the exit code is then 1.
     """
     from threedvc.config import FilterParts, RenderConfig
@@ -87,10 +91,11 @@ def decode(
     )
     several = len(stream.infos) > 1 and sensor is None and camera_path is None
     with Progress("decode", stream.info.frame_count) as progress, ExitStack() as opened:
+        opened.callback(stream.close)
         places = [sensor_folder(folder, number) for number in range(len(stream.infos))] if several else [folder]
         infos = stream.infos if several else [stream.info]
         sinks = [
-            opened.enter_context(PlainSink(place, info, what=what, mounted=several))
+            opened.enter_context(PlainSink(place, info, what=what, mounted=several, force=force))
             for place, info in zip(places, infos, strict=True)
         ]
         try:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from threedvc.cli.options import (
     READER_OPTIONS,
     bit_rate,
     focus,
+    force_option,
     frame_range,
     json_option,
     length,
@@ -22,6 +24,8 @@ from threedvc.cli.options import (
     threads_option,
 )
 from threedvc.cli.progress import Progress
+from threedvc.cli.signals import Terminated, stop_on_signals
+from threedvc.errors import SequenceError
 
 if TYPE_CHECKING:
     from threedvc.config import EncoderConfig
@@ -71,19 +75,30 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               )  # fmt: skip
 @click.option("--causal", is_flag=True, help="The same as --preset live.")
 @click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
+@force_option
 @threads_option
 @json_option
 def encode(
-    sources: tuple[Path, ...], inputs: tuple[Path, ...], output: Path, verify: bool, as_json: bool, **choices: Any
+    sources: tuple[Path, ...],
+    inputs: tuple[Path, ...],
+    output: Path,
+    verify: bool,
+    force: bool,
+    as_json: bool,
+    **choices: Any,
 ) -> None:
     """Encode the RGB-D frames in the folder INPUT into a stream; OUTPUT.3dvc may be - (standard output).
 
     Lengths: 8mm, 1cm, 0.02m; a plain number is metres.
 
+    A live encode that is interrupted or terminated ends its stream with the frames so far; others keep what can be
+    decoded beside OUTPUT.3dvc, as OUTPUT.3dvc.part, or leave nothing.
+
     Several sensors that are mounted together have a folder each, INPUT and --input; options from --layout to --fps
     and --sensor are then given once, or once for each sensor in their order.
     """
     from threedvc.formats import api
+    from threedvc.formats.container import check_output
 
     if as_json and output == STANDARD_OUTPUT:
         raise click.UsageError("--json and the output - both write to standard output; name a file for one of them")
@@ -91,20 +106,35 @@ def encode(
     if not folders:
         raise click.UsageError("no INPUT; name the folder of RGB-D frames, then OUTPUT.3dvc")
     config = _configuration(choices, len(folders))
+    check_output(output, force=force)
     sequence = _open(folders, choices)
     info = sequence.info
-    with Progress("encode", info.frame_count, info.fps) as progress:
-        report = api.encode(
-            sequence,
-            output,
-            config,
-            verify=verify,
-            on_frame=lambda frame: progress.advance(frame.index + 1, frame.bytes_so_far),
-            on_notice=lambda notice: click.echo(notice, err=True),
-        )
+    live = config.causal
+    with ExitStack() as opened:
+        progress = opened.enter_context(Progress("encode", info.frame_count, info.fps))
+        stop = opened.enter_context(stop_on_signals()) if live else None
+        try:
+            report = api.encode(
+                sequence,
+                output,
+                config,
+                verify=verify,
+                force=force,
+                on_frame=lambda frame: progress.advance(frame.index + 1, frame.bytes_so_far),
+                on_notice=lambda notice: click.echo(notice, err=True),
+                stop=stop,
+            )
+        except SequenceError:
+            if stop is not None and stop.number is not None:  # before the first frame
+                raise Terminated(stop.number) from None
+            raise
         progress.summary(_summary(report, output))
     if as_json:
         click.echo(json.dumps(_as_map(report), indent=1))
+    if stop is not None and stop.number is not None:
+        ended = Terminated(stop.number)
+        ended.add_note(f"{output} holds the {report.frames} frames so far")
+        raise ended
 
 
 def _open(folders: list[Path], choices: dict[str, Any]) -> FrameSequence:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import os
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -13,13 +14,13 @@ from threedvc import __version__
 from threedvc.cli.decode import decode
 from threedvc.cli.encode import encode
 from threedvc.cli.explore import explore
+from threedvc.cli.signals import interrupt_word, signals_as_interrupts
 from threedvc.cli.stats import stats
 from threedvc.cli.synth import synth
 from threedvc.errors import ThreedvcError
 
 __all__ = ["main"]
 
-INTERRUPTED = 130
 TRACEBACK_VARIABLE = "THREEDVC_TRACEBACK"
 
 
@@ -35,12 +36,15 @@ class Commands(click.Group):
             For every error of a command; exit code 1, or 2 for wrong usage.
         """
         try:
-            return super().invoke(ctx)
+            with signals_as_interrupts():
+                return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except KeyboardInterrupt as error:
-            click.echo("; ".join(["Interrupted", *_notes(error)]), err=True)
-            ctx.exit(INTERRUPTED)
+            word, code = interrupt_word(error)
+            with suppress(OSError):  # a terminal that hung up is gone
+                click.echo("; ".join([word, *_notes(error)]), err=True)
+            ctx.exit(code)
         except Exception as error:
             if os.environ.get(TRACEBACK_VARIABLE) or _is_broken_pipe(error):
                 raise

@@ -27,6 +27,7 @@ __all__ = [
     "bit_rate",
     "decoded_outputs",
     "focus",
+    "force_option",
     "frame_range",
     "frame_span",
     "json_option",
@@ -196,6 +197,11 @@ def threads_option(function: F) -> F:
         metavar="N",
         help="Number of threads; the result does not depend on it.  [default: all processors]",
     )(function)
+
+
+def force_option(function: F) -> F:
+    """Add ``--force``."""
+    return click.option("--force", is_flag=True, help="Replace files that 3dvc did not write, too.")(function)
 
 
 def json_option(function: F) -> F:

@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from threedvc.cli.files import write_file
 from threedvc.errors import ConfigError
+from threedvc.formats.outputs import write_output
 
 if TYPE_CHECKING:
     from threedvc.formats.spans import Span
     from threedvc.formats.statistics import StreamStatistics
 
-__all__ = ["check_plotting", "plot_statistics"]
+__all__ = ["check_plotting", "is_plot", "plot_statistics"]
 
 FORMATS = (".png", ".pdf", ".svg")
+MAKER = b"3dvc stats"
 STATUS_COLORS = {"relocalised": "tab:blue", "weak": "tab:orange", "lost": "tab:red"}
 
 
@@ -40,7 +41,12 @@ def check_plotting(path: Path) -> None:
         raise ConfigError("--plot needs Matplotlib; install it with: pip install '3dvc[plot]'")
 
 
-def plot_statistics(report: StreamStatistics, path: Path) -> None:
+def is_plot(head: bytes) -> bool:
+    """Tell whether a file is a plot that `plot_statistics` drew."""
+    return MAKER in head and head.startswith((b"\x89PNG", b"%PDF", b"<?xml"))
+
+
+def plot_statistics(report: StreamStatistics, path: Path, *, force: bool = False) -> None:
     """Draw cumulative bytes, model entropy, visible objects and status over time, and packet shares, into a file."""
     from matplotlib.figure import Figure
 
@@ -53,8 +59,9 @@ def plot_statistics(report: StreamStatistics, path: Path) -> None:
     _draw_course(course, report)
     _draw_shares(shares, report)
     data = io.BytesIO()
-    figure.savefig(data, format=path.suffix.lower().removeprefix("."), dpi=120)
-    write_file(path, data.getvalue())
+    kind = path.suffix.lower().removeprefix(".")
+    figure.savefig(data, format=kind, dpi=120, metadata={"Software" if kind == "png" else "Creator": MAKER.decode()})
+    write_output(path, data.getvalue(), is_plot, "plot", force=force)
 
 
 def _draw_bytes(axes: Any, report: StreamStatistics) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from threedvc.cli.options import picture_size, threads_option
+from threedvc.cli.options import force_option, picture_size, threads_option
 from threedvc.cli.progress import Progress
 
 __all__ = ["synth"]
@@ -29,6 +29,7 @@ NOISES = ("ideal", "kinect")
 @click.option("--sensors", type=click.IntRange(1, 16), metavar="N", default=1, show_default=True,
               help="Sensors that are mounted together; several write OUTDIR/sensor0, OUTDIR/sensor1, ...")  # fmt: skip
 @click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Varies textures, motion and noise.")
+@force_option
 @threads_option
 def synth(
     folder: Path,
@@ -38,6 +39,7 @@ def synth(
     noise: str,
     sensors: int,
     seed: int,
+    force: bool,
     threads: int | None,
 ) -> None:
     """Render a scene into OUTDIR, with exact poses and, where things move, masks.
@@ -47,7 +49,7 @@ def synth(
     objects  three toys that hide each other before a fixed camera; one of them pauses
     room     a hand-held camera in a furnished room that comes back to where it started
     """
-    from threedvc.formats.sinks.plain import PlainSink, sensor_folder
+    from threedvc.formats.sinks.plain import SYNTH, PlainSink, sensor_folder
     from threedvc.pose import inverse
     from threedvc.synthesis import make_scene, mounted_sequences
 
@@ -56,7 +58,7 @@ def synth(
         for number, (sequence, T) in enumerate(sequences):
             info = sequence.info.with_rigs([replace(sequence.info.rig, T_depth_base=inverse(T))])
             place = folder if sensors == 1 else sensor_folder(folder, number)
-            with PlainSink(place, info, mounted=sensors > 1, threads=threads) as sink:
+            with PlainSink(place, info, mounted=sensors > 1, writer=SYNTH, force=force, threads=threads) as sink:
                 for frame in sequence:
                     sink.write_frame(frame)
                     progress.advance(progress.frames + 1)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import chain, islice, takewhile
 from typing import BinaryIO, overload
 
 import numpy as np
@@ -24,7 +24,7 @@ from threedvc.formats.container import open_input, open_output
 from threedvc.formats.pose_check import settle_poses
 from threedvc.formats.sources import open_sequence
 from threedvc.formats.sources.notices import Notice, notices_of
-from threedvc.frame import NANOSECONDS, FrameSequence, SequenceInfo
+from threedvc.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo
 from threedvc.packets import Packet, PacketType, SensorHeader, StreamHeader
 from threedvc.pose import Pose, compose, inverse
 from threedvc.rendering import Picture, Renderer, RenderModel
@@ -89,8 +89,10 @@ def encode(
     config: EncoderConfig | None = None,
     *,
     verify: bool = False,
+    force: bool = False,
     on_frame: Callable[[FrameReport], None] | None = None,
     on_notice: Callable[[Notice], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> EncodeReport:
     """Encode a sequence of RGB-D frames.
 
@@ -104,10 +106,14 @@ def encode(
         Choices; None: defaults.
     verify
         Decode what is written, and fail if the decoder arrives at another model.
+    force
+        Whether a file that is no stream may be replaced.
     on_frame
         Called after each frame is fused.
     on_notice
         Called with each decision about the recording and each doubt, before the first frame is fused.
+    stop
+        Asked before each frame of a live encode: whether the stream is to end with those before it.
 
     Returns
     -------
@@ -136,11 +142,14 @@ def encode(
         if on_frame is not None:
             on_frame(replace(frame, bytes_so_far=written))
 
-    packets: Iterable[Packet] = encoder.packets(sequence, report)
+    frames: Iterable[Frame] = sequence
+    if stop is not None and settled.config.causal:
+        frames = takewhile(lambda _: not stop(), sequence)
+    packets: Iterable[Packet] = encoder.packets(frames, report)
     if verify:
         packets = verified(packets)
     digest = b""
-    with open_output(output) as writer:
+    with open_output(output, force=force) as writer:
         for packet in packets:
             writer.write(packet)
             written = writer.offset
@@ -248,6 +257,10 @@ class DecodedStream:
         self._renderers = [Renderer(rig, render) for rig in shown]
         self._models: dict[int, RenderModel] = {}
         self.infos = tuple(_info(header, rig, what) for header, rig in zip(headers, shown, strict=True))
+
+    def close(self) -> None:
+        """Close the stream; iterating over all frames does so, too."""
+        self._opened.close()
 
     @property
     def info(self) -> SequenceInfo:

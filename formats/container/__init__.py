@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The .3dvc container: packets to bytes, and bytes to checked packets. docs/format.md is its specification."""
 
-from threedvc.formats.container.files import open_input, open_output
+from threedvc.formats.container.files import check_output, open_input, open_output
 from threedvc.formats.container.index import IndexEntry, StreamIndex, read_index
 from threedvc.formats.container.layout import FILE_HEAD_BYTES
 from threedvc.formats.container.reader import Record, SkippedRange, StreamReader
@@ -15,6 +15,7 @@ __all__ = [
     "StreamIndex",
     "StreamReader",
     "StreamWriter",
+    "check_output",
     "open_input",
     "open_output",
     "read_index",

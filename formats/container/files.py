@@ -6,15 +6,17 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
 
 from threedvc.errors import ConfigError, FormatError, OutputError
+from threedvc.formats.container.layout import MAGIC
 from threedvc.formats.container.reader import StreamReader
 from threedvc.formats.container.writer import StreamWriter
+from threedvc.formats.outputs import GrowingFile, check_target, growing_file, is_direct
 
-__all__ = ["open_input", "open_output"]
+__all__ = ["check_output", "open_input", "open_output"]
 
 STANDARD_STREAM: Final = "-"
 
@@ -44,18 +46,25 @@ def open_input(source: StreamPath | BinaryIO, *, recover: bool = False) -> Itera
 
 
 @contextmanager
-def open_output(target: StreamPath | BinaryIO) -> Iterator[StreamWriter]:
+def open_output(target: StreamPath | BinaryIO, *, force: bool = False) -> Iterator[StreamWriter]:
     """Open a .3dvc file for writing, standard output if `target` is ``-``, or an open binary stream.
 
-    The stream grows in ``NAME.part`` beside the file and takes its name when the block ends
-    without an error and END has been written; only then an older file of that name is replaced.
-    After an error the part is kept if it holds frames, and the error gets a note that says so; else
-    it is removed. Pipes and devices are written directly.
+    The stream grows beside the file, see `threedvc.formats.outputs`, and takes its name when the block ends without an
+    error and END has been written; only then an older stream of that name is replaced. After an error the part is kept
+    if it holds frames, and the error gets a note that says so; else it is removed. Pipes and devices are written
+    directly.
+
+    Parameters
+    ----------
+    target
+        Where to write.
+    force
+        Whether a file that is no stream may be replaced.
 
     Raises
     ------
     OutputError
-        If the file cannot be written, or the block ends without END.
+        If the file may not or cannot be written, another run writes it, or the block ends without END.
     ConfigError
         If standard output is a terminal.
     BrokenPipeError
@@ -68,10 +77,17 @@ def open_output(target: StreamPath | BinaryIO) -> Iterator[StreamWriter]:
             raise ConfigError("standard output is a terminal; redirect it or give a file name")
         opened = _written_to(sys.stdout.buffer, "standard output")
     else:
-        path, name = Path(os.path.realpath(target)), os.fspath(target)
-        opened = _part_file(path, name) if path.is_file() or not path.exists() else _direct(path, name)
+        check_output(target, force=force)
+        name = os.fspath(target)
+        opened = _direct(Path(target), name) if is_direct(target) else _part_file(target, name)
     with opened as writer:
         yield writer
+
+
+def check_output(target: StreamPath, *, force: bool = False) -> None:
+    """Check that a stream may be written under a name, where it is one; raises OutputError."""
+    if os.fspath(target) != STANDARD_STREAM:
+        check_target(target, lambda head: head.startswith(MAGIC), "stream", force=force)
 
 
 def _name_of(stream: BinaryIO) -> str:
@@ -93,30 +109,20 @@ def _direct(target: Path, name: str) -> Iterator[StreamWriter]:
 
 
 @contextmanager
-def _part_file(target: Path, name: str) -> Iterator[StreamWriter]:
-    part = target.with_name(f"{target.name}.part")
-    sink = _opened(part, name)
-    writer = StreamWriter(sink, name)
+def _part_file(target: StreamPath, name: str) -> Iterator[StreamWriter]:
+    writer: StreamWriter | None = None
+    growing: GrowingFile | None = None
     try:
-        yield writer
-        writer.close()
-        if not writer.ended:
-            raise OutputError(f"{name}: the stream was not brought to its END")
-        _publish(sink, part, target, name)
+        with growing_file(target) as growing:
+            writer = StreamWriter(growing.sink, name)
+            yield writer
+            writer.close()
+            if not writer.ended:
+                raise OutputError(f"{name}: the stream was not brought to its END")
     except BaseException as error:
-        with suppress(OSError):
-            sink.close()
-        _keep_or_remove(part, writer.frames, error)
+        if growing is not None and not growing.published:
+            _keep_or_remove(growing.part, writer.frames if writer is not None else 0, error)
         raise
-
-
-def _publish(sink: BinaryIO, part: Path, target: Path, name: str) -> None:
-    try:
-        os.fsync(sink.fileno())
-        sink.close()
-        os.replace(part, target)
-    except OSError as error:
-        raise _unwritable(name, error) from None
 
 
 def _keep_or_remove(part: Path, frames: int, error: BaseException) -> None:

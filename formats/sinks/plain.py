@@ -3,8 +3,9 @@
 
 Pictures are compressed by several threads; each picture's bytes depend on its content alone. The folder is valid
 input after every closed sink, also one that closes early because a stream ended: poses and times stand in it for
-exactly the frames that were written. ``intrinsics.json`` says ``"written_by": "3dvc"``, by which a later sink knows
-a folder that it may overwrite, and ``"complete": false`` until the sink was closed without an error.
+exactly the frames that were written. ``intrinsics.json`` says which command wrote it (``"written_by"``), by which a
+later sink of the same command knows a folder that it may fill anew, and ``"complete": false`` until the sink was closed
+without an error. Nothing is made or removed before the first frame comes.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import re
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -27,22 +28,26 @@ from numpy.typing import NDArray
 
 from threedvc.camera import Camera
 from threedvc.errors import ConfigError, OutputError, SequenceError, ThreedvcError
+from threedvc.formats.outputs import locked_folder
 from threedvc.formats.sinks.poses import pose_lines
+from threedvc.formats.sources.association import PICTURE_SUFFIXES
 from threedvc.formats.sources.text import read_json
 from threedvc.formats.sources.timestamps import regular_stamp
 from threedvc.frame import Frame, SequenceInfo
 from threedvc.parallel import default_threads
 from threedvc.pose import Pose, inverse
 
-__all__ = ["PARTS", "PlainSink", "sensor_folder"]
+__all__ = ["DECODE", "PARTS", "SYNTH", "PlainSink", "sensor_folder"]
 
 PARTS = frozenset({"color", "depth", "labels"})
 FOLDERS = {"color": "color", "depth": "depth", "labels": "masks"}
 INTRINSICS = "intrinsics.json"
 SIDECARS = ("poses.txt", "object_poses.json", "timestamps.txt")
 OWN_PICTURE = re.compile(r"\d{6,}\.png(\.part)?")
-WRITER = "3dvc"
-DEPTH_LIMIT = 65535
+DECODE, SYNTH = "3dvc decode", "3dvc synth"
+"""Commands that write recordings; 0.1.0 called both 3dvc, so that it is not known which of them wrote such a folder."""
+DEPTH_LIMIT = 65534
+"""65535 reads as no measurement."""
 PENDING_PER_THREAD = 4
 
 
@@ -68,7 +73,8 @@ class PlainSink:
     Parameters
     ----------
     folder
-        Made if absent. An empty folder or an earlier output is filled anew; files of other names stay untouched.
+        Made if absent. An empty folder or an earlier output is filled anew when the first frame comes; files of other
+        names stay untouched.
     info
         Cameras, depth scale, frame rate, and whether colour has one channel, of what is written. Where the sensor is
         mounted among others stands there only if `mounted`.
@@ -76,6 +82,10 @@ class PlainSink:
         Which of `PARTS` to write; others are ignored when handed over.
     mounted
         Whether the sensor is one of several, so that ``intrinsics.json`` tells its pose on their mount.
+    writer
+        The command that writes, which may replace its own earlier outputs.
+    force
+        Whether any recording may be replaced.
     threads
         Threads that compress pictures; by default one per processor.
 
@@ -84,7 +94,8 @@ class PlainSink:
     ConfigError
         If `what` is empty or names an unknown part.
     OutputError
-        If the folder cannot be written, or holds a recording that no sink wrote.
+        If the folder is a file, or holds a recording that the command did not write; when the first frame comes, if it
+        cannot be written or another run writes it.
     """
 
     def __init__(
@@ -94,6 +105,8 @@ class PlainSink:
         *,
         what: Collection[str] = PARTS,
         mounted: bool = False,
+        writer: str = DECODE,
+        force: bool = False,
         threads: int | None = None,
     ) -> None:
         unknown = sorted(set(what) - PARTS)
@@ -105,7 +118,10 @@ class PlainSink:
         self._threads = threads or default_threads()
         self._written: list[_Written] = []
         self._pending: deque[Future[None]] = deque()
-        self._begin()
+        self._writer, self._force = writer, force
+        self._check_folder()
+        self._held = ExitStack()
+        self._begun = False
         self._encoders = ThreadPoolExecutor(max_workers=self._threads, thread_name_prefix="threedvc-png")
         self._closed = False
 
@@ -156,6 +172,8 @@ class PlainSink:
         OutputError
             If an earlier picture could not be written.
         """
+        if not self._begun:
+            self._begin()
         if self._written and index <= self._written[-1].index:
             raise ConfigError(f"frame {index} follows frame {self._written[-1].index}; write frames in order")
         for part, picture in self._pictures(color, depth, labels):
@@ -195,27 +213,37 @@ class PlainSink:
         if self._closed:
             return
         self._closed = True
-        try:
-            self._wait(0)
-        finally:
-            self._encoders.shutdown(cancel_futures=True)
-        self._write_poses()
-        self._write_object_poses()
-        self._write_timestamps()
-        self._write_intrinsics(complete=complete)
+        with self._held:
+            try:
+                self._wait(0)
+            finally:
+                self._encoders.shutdown(cancel_futures=True)
+            if self._begun:
+                self._write_poses()
+                self._write_object_poses()
+                self._write_timestamps()
+                self._write_intrinsics(complete=complete)
+
+    def _check_folder(self) -> None:
+        """Check that a recording may be written here."""
+        if self._folder.exists() and not self._folder.is_dir():
+            raise OutputError(f"{self._folder}: is a file; choose another folder")
+        if self._holds_recording() and not (self._force or self._made_by() == self._writer):
+            maker = self._made_by()
+            maker = f"{maker} wrote" if isinstance(maker, str) else f"{self._writer} did not write"
+            raise OutputError(f"{self._folder}: holds a recording that {maker}; choose another folder, or give --force")
 
     def _begin(self) -> None:
         """Claim the folder: make it, mark it as ours, and remove what an earlier sink wrote."""
-        if self._folder.exists() and not self._folder.is_dir():
-            raise OutputError(f"{self._folder}: is a file; choose another folder")
-        if self._holds_recording() and not self._is_own():
-            raise OutputError(f"{self._folder}: holds a recording that 3dvc did not write; choose another folder")
         with _output_errors(self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
+            self._held.enter_context(locked_folder(self._folder))
+        self._check_folder()
+        self._begun = True
         self._write_intrinsics(complete=False)
         with _output_errors(self._folder):
             for name in FOLDERS.values():
-                _clear_pictures(self._folder / name)
+                _clear_pictures(self._folder / name, every=self._force)
             for name in SIDECARS:
                 (self._folder / name).unlink(missing_ok=True)
 
@@ -223,11 +251,12 @@ class PlainSink:
         names = (INTRINSICS, *SIDECARS, *FOLDERS.values())
         return any((self._folder / name).exists() for name in names)
 
-    def _is_own(self) -> bool:
+    def _made_by(self) -> object:
+        """Return what the recording that is there says of its writer."""
         try:
-            return read_json(self._folder / INTRINSICS).get("written_by") == WRITER
+            return read_json(self._folder / INTRINSICS).get("written_by")
         except SequenceError:
-            return False
+            return None
 
     def _pictures(
         self,
@@ -299,7 +328,7 @@ class PlainSink:
             **cameras,
             "depth_scale": self._info.depth_scale,
             "fps": self._info.fps,
-            "written_by": WRITER,
+            "written_by": self._writer,
             "complete": complete,
         }
         _write_text(self._folder / INTRINSICS, [json.dumps(content, indent=1)])
@@ -316,9 +345,10 @@ def _camera_entries(camera: Camera) -> dict[str, object]:
     return {**entries, "distortion": list(camera.distortion)} if camera.distorted else entries
 
 
-def _clear_pictures(folder: Path) -> None:
+def _clear_pictures(folder: Path, *, every: bool) -> None:
+    """Remove the pictures that a sink wrote, or `every` one: any other would be read with those to come."""
     for path in folder.iterdir() if folder.is_dir() else ():
-        if OWN_PICTURE.fullmatch(path.name):
+        if OWN_PICTURE.fullmatch(path.name) or (every and path.suffix.lower() in PICTURE_SUFFIXES):
             path.unlink()
     # An empty masks/ would announce masks that are not there.
     with suppress(OSError):

@@ -37,6 +37,7 @@ UNITS = {"seconds": NANOSECONDS, "milliseconds": 1_000_000, "microseconds": 1000
 SHORTEST_NS, LONGEST_NS = NANOSECONDS // 1000, 5 * NANOSECONDS
 """Intervals between frames that make sense: a fast camera's, and those of a recording in steps of seconds."""
 COUNTED = 10**7
+TYPICAL_NS = NANOSECONDS // 30
 INDEX_STEP = 2
 """Whole numbers that rise by this or less, from a small one on, count frames; they are no clock's."""
 SAME_RATE = 0.05
@@ -98,8 +99,15 @@ def unit_of(stamps: Sequence[Decimal], meant: str) -> str | None:
     step = median(steps)
     if whole and step <= INDEX_STEP and abs(stamps[0]) < COUNTED:
         return None
-    fitting = [unit for unit in (meant, *UNITS) if SHORTEST_NS <= step * UNITS[unit] <= LONGEST_NS]
-    return fitting[0] if fitting else meant
+    largest = max(abs(stamps[0]), abs(stamps[-1]))
+    fitting = [
+        unit
+        for unit, ticks in UNITS.items()
+        if SHORTEST_NS <= step * ticks <= LONGEST_NS and largest * ticks < INT64_LIMIT
+    ]
+    if meant in fitting or not fitting:
+        return meant
+    return min(fitting, key=lambda unit: max(step * UNITS[unit] / TYPICAL_NS, TYPICAL_NS / (step * UNITS[unit])))
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,8 @@ class FakeEncoder:
         verify: bool,
         on_frame: Callable[[Any], None],
         on_notice: Callable[[Notice], None],
+        force: bool,
+        stop: Callable[[], bool] | None,
     ) -> Any:
         self.calls.append(SimpleNamespace(source=source, output=output, config=config, verify=verify))
         for index in range(2):

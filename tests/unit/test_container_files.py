@@ -15,7 +15,10 @@ import pytest
 from container_streams import end, packets, small_stream
 from threedvc.errors import ConfigError, FormatError, OutputError
 from threedvc.formats.container import StreamWriter, open_input, open_output
+from threedvc.formats.outputs import locked_folder
 from threedvc.packets import Packet
+
+OLDER = small_stream()[:-1]
 
 
 class FakeStandardStream(io.TextIOWrapper):
@@ -61,21 +64,21 @@ def test_batches_are_on_disk_while_writing(tmp_path: Path) -> None:
 
 def test_an_older_file_is_replaced_at_the_end_only(tmp_path: Path) -> None:
     path = tmp_path / "k.3dvc"
-    path.write_bytes(b"older")
+    path.write_bytes(OLDER)
     with open_output(path) as writer:
         write_all(writer)
-        assert path.read_bytes() == b"older"
+        assert path.read_bytes() == OLDER
     assert path.read_bytes() == small_stream()
 
 
 def test_failure_without_frames_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "k.3dvc"
-    path.write_bytes(b"older")
+    path.write_bytes(OLDER)
     with pytest.raises(ConfigError, match="nothing fits") as caught:
         fail_after(path, packets(0), ConfigError("nothing fits"))
     assert not hasattr(caught.value, "__notes__")
     assert os.listdir(tmp_path) == ["k.3dvc"]
-    assert path.read_bytes() == b"older"
+    assert path.read_bytes() == OLDER
 
 
 @pytest.mark.parametrize("error", [ConfigError("stopped"), KeyboardInterrupt()], ids=["error", "interrupt"])
@@ -100,10 +103,12 @@ def test_a_stream_without_end_does_not_get_the_name(tmp_path: Path) -> None:
 
 def test_unwritable_places_are_named(tmp_path: Path) -> None:
     missing = tmp_path / "no" / "k.3dvc"
-    for path, reason in ((missing, "No such file or directory"), (tmp_path, "Is a directory")):
-        with pytest.raises(OutputError) as caught, open_output(path):
-            pass
-        assert str(caught.value) == f"{path}: cannot be written ({reason}); choose another place"
+    with pytest.raises(OutputError) as caught, open_output(missing):
+        pass
+    assert str(caught.value) == f"{missing}: cannot be written (No such file or directory); choose another place"
+    with pytest.raises(OutputError) as caught, open_output(tmp_path):
+        pass
+    assert str(caught.value) == f"{tmp_path}: is a folder; give the name of a file"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
@@ -198,3 +203,58 @@ def test_import_needs_no_compiler(repository: Path) -> None:
     program = "import sys, threedvc.formats.container; print('numba' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=repository)
     assert result.stdout == "False\n"
+
+
+def test_what_is_no_stream_is_not_replaced(tmp_path: Path) -> None:
+    poses = tmp_path / "poses.txt"
+    poses.write_text("0 0 0 0 0 0 0 1\n")
+    with pytest.raises(OutputError) as caught, open_output(poses):
+        pass
+    assert str(caught.value) == (
+        f"{poses}: is a file, but no stream that 3dvc wrote; choose another name, or give --force"
+    )
+    assert poses.read_text() == "0 0 0 0 0 0 0 1\n"
+    with open_output(poses, force=True) as writer:
+        write_all(writer)
+    assert poses.read_bytes() == small_stream()
+
+
+def test_an_empty_file_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "k.3dvc"
+    path.touch()
+    with open_output(path) as writer:
+        write_all(writer)
+    assert path.read_bytes() == small_stream()
+
+
+def test_a_kept_part_is_not_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "k.3dvc"
+    for name in ("k.3dvc.part", "k.3dvc.2.part"):
+        with pytest.raises(ConfigError) as caught:
+            fail_after(path, packets(), ConfigError("stop"))
+        assert f"kept {tmp_path / name}: " in caught.value.__notes__[0]
+    with open_output(path) as writer:
+        write_all(writer)
+        assert (tmp_path / "k.3dvc.3.part").exists()
+    assert sorted(os.listdir(tmp_path)) == ["k.3dvc", "k.3dvc.2.part", "k.3dvc.part"]
+
+
+def test_two_runs_for_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "k.3dvc"
+    link = tmp_path / "link.3dvc"
+    link.symlink_to(path)
+    with open_output(path) as writer:
+        for other in (path, tmp_path / "." / "k.3dvc", link):
+            text = r"is being written by another 3dvc, in .*k\.3dvc\.part; wait for it"
+            with pytest.raises(OutputError, match=text), open_output(other):
+                pass
+        write_all(writer)
+    assert path.read_bytes() == small_stream()
+    assert link.is_symlink()
+    assert sorted(os.listdir(tmp_path)) == ["k.3dvc", "link.3dvc"]
+
+
+def test_a_folder_that_is_held_does_not_stop_a_file_in_it(tmp_path: Path) -> None:
+    with locked_folder(tmp_path), open_output(tmp_path / "k.3dvc") as writer:
+        write_all(writer)
+    assert (tmp_path / "k.3dvc").read_bytes() == small_stream()

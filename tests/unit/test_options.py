@@ -11,7 +11,6 @@ from typing import Any
 import click
 import pytest
 
-from threedvc.cli.files import write_file
 from threedvc.cli.options import (
     decoded_outputs,
     focus,
@@ -26,6 +25,7 @@ from threedvc.cli.options import (
 from threedvc.cli.progress import Progress
 from threedvc.config import Focus, SegmentationConfig, SegmentationMode
 from threedvc.errors import ConfigError, OutputError
+from threedvc.formats.outputs import write_output
 
 FOCUS_FORM = "{!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 1=4 or -20cm..20cm,0..1,0.5..2=4"
 
@@ -178,16 +178,37 @@ class TestProgress:
         assert progress.frames == 999
 
 
-class TestWriteFile:
+class TestWriteOutput:
     def test_replaces_what_was_there(self, tmp_path: Path) -> None:
         target = tmp_path / "a.csv"
         target.write_text("old")
-        write_file(target, b"new")
+        write_output(target, b"new", lambda head: head == b"old", "table")
         assert target.read_bytes() == b"new"
         assert list(tmp_path.iterdir()) == [target]
+
+    def test_keeps_what_is_another_file(self, tmp_path: Path) -> None:
+        target = tmp_path / "a.csv"
+        target.write_text("notes")
+        with pytest.raises(OutputError) as caught:
+            write_output(target, b"new", lambda head: head == b"old", "table")
+        assert str(caught.value) == (
+            f"{target}: is a file, but no table that 3dvc wrote; choose another name, or give --force"
+        )
+        assert target.read_text() == "notes"
+        write_output(target, b"new", lambda head: head == b"old", "table", force=True)
+        assert target.read_bytes() == b"new"
+
+    def test_keeps_links_and_devices(self, tmp_path: Path) -> None:
+        link, target = tmp_path / "link.csv", tmp_path / "a.csv"
+        link.symlink_to(target)
+        write_output(link, b"new", lambda head: False, "table")
+        assert link.is_symlink()
+        assert target.read_bytes() == b"new"
+        write_output(Path("/dev/null"), b"new", lambda head: False, "table")
+        assert Path("/dev/null").is_char_device()
 
     def test_names_the_file_that_cannot_be_written(self, tmp_path: Path) -> None:
         target = tmp_path / "missing" / "a.csv"
         with pytest.raises(OutputError) as caught:
-            write_file(target, b"")
-        assert str(caught.value) == f"{target}: cannot be written (No such file or directory); choose another place"
+            write_output(target, b"", lambda head: True, "table")
+        assert str(caught.value) == (f"{target}: cannot be written (No such file or directory); choose another place")

@@ -100,7 +100,7 @@ def test_layout_on_disk(tmp_path: Path) -> None:
         "cy": 24.5,
         "depth_scale": 5000.0,
         "fps": 29.97,
-        "written_by": "3dvc",
+        "written_by": "3dvc decode",
         "complete": True,
     }
 
@@ -162,9 +162,9 @@ def test_poses_not_known(tmp_path: Path) -> None:
 def test_depth_that_16_bits_cannot_hold_is_no_measurement(tmp_path: Path) -> None:
     given = frames(1)[0]
     depth = given.depth.copy()
-    depth[0, :5] = [np.nan, np.inf, -1.0, 65535 / SCALE, 65536 / SCALE]
+    depth[0, :5] = [np.nan, np.inf, -1.0, 65534 / SCALE, 65535 / SCALE]
     read = written(tmp_path, [replace(given, depth=depth)])[0]
-    assert np.array_equal(read.depth[0, :5], np.array([0, 0, 0, 65535 / SCALE, 0], np.float32))
+    assert np.array_equal(read.depth[0, :5], np.array([0, 0, 0, 65534 / SCALE, 0], np.float32))
     assert np.array_equal(read.depth[1:], depth[1:])
 
 
@@ -237,8 +237,53 @@ def test_a_recording_is_never_overwritten(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("{}")
     with pytest.raises(OutputError) as caught:
         PlainSink(tmp_path, INFO)
-    assert str(caught.value) == f"{tmp_path}: holds a recording that 3dvc did not write; choose another folder"
+    assert str(caught.value) == (
+        f"{tmp_path}: holds a recording that 3dvc decode did not write; choose another folder, or give --force"
+    )
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_recordings_of_other_commands_stay(tmp_path: Path) -> None:
+    for maker in ("3dvc synth", "3dvc"):
+        with PlainSink(tmp_path, INFO, writer=maker, force=True) as sink:
+            sink.write_frame(frames(1)[0])
+        before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        with pytest.raises(OutputError) as caught:
+            PlainSink(tmp_path, INFO)
+        assert str(caught.value) == (
+            f"{tmp_path}: holds a recording that {maker} wrote; choose another folder, or give --force"
+        )
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_force_leaves_no_picture_of_another_recording(tmp_path: Path) -> None:
+    (tmp_path / "color").mkdir()
+    for name in ("0000.png", "7.JPG", "notes.txt"):
+        (tmp_path / "color" / name).write_bytes(b"mine")
+    with PlainSink(tmp_path, INFO, force=True) as sink:
+        sink.write_frame(frames(1)[0])
+    assert sorted(path.name for path in (tmp_path / "color").iterdir()) == ["000000.png", "notes.txt"]
+    assert len(open_sequence(tmp_path)) == 1
+
+
+def test_nothing_is_touched_before_the_first_frame(tmp_path: Path) -> None:
+    earlier, absent = tmp_path / "earlier", tmp_path / "absent"
+    written(earlier, frames())
+    before = {path: path.read_bytes() for path in earlier.rglob("*") if path.is_file()}
+    for folder in (earlier, absent):
+        with pytest.raises(ConfigError), PlainSink(folder, INFO):
+            raise ConfigError("nothing comes")
+    assert {path: path.read_bytes() for path in earlier.rglob("*") if path.is_file()} == before
+    assert not absent.exists()
+
+
+def test_two_sinks_in_one_folder(tmp_path: Path) -> None:
+    first, second = PlainSink(tmp_path, INFO), PlainSink(tmp_path, INFO)
+    first.write_frame(frames(1)[0])
+    with pytest.raises(OutputError, match=r"is being written by another 3dvc; wait for it, or choose another folder$"):
+        second.write_frame(frames(1)[0])
+    first.close()
+    assert len(open_sequence(tmp_path)) == 1
 
 
 def test_foreign_files_alone_are_no_recording(tmp_path: Path) -> None:
@@ -257,19 +302,21 @@ def test_target_is_a_file(tmp_path: Path) -> None:
 def test_unwritable_target(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     path = tmp_path / "file" / "out"
+    sink = PlainSink(path, INFO)
     with pytest.raises(OutputError) as caught:
-        PlainSink(path, INFO)
+        sink.write_frame(frames(1)[0])
     assert str(caught.value) == (f"{path}: cannot be written (Not a directory); free space or choose another folder")
 
 
 def test_failing_picture_is_reported(tmp_path: Path) -> None:
     sink = PlainSink(tmp_path, INFO)
-    (tmp_path / "color").write_text("in the way")
-    sink.write_frame(frames(1)[0])
+    sink.write_frame(frames(2)[0])
+    (tmp_path / "color" / "000001.png").mkdir(parents=True)
+    sink.write_frame(frames(2)[1])
     with pytest.raises(OutputError) as caught:
         sink.close()
     assert str(caught.value) == (
-        f"{tmp_path / 'color' / '000000.png'}: cannot be written (File exists); free space or choose another folder"
+        f"{tmp_path / 'color' / '000001.png'}: cannot be written (Is a directory); free space or choose another folder"
     )
     sink.close()
     assert json.loads((tmp_path / "intrinsics.json").read_text())["complete"] is False
