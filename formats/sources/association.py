@@ -55,6 +55,9 @@ OTHER_PICTURES = {
 }
 CONVERT = "convert colour to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimetres, 0 where there is none"
 MAX_DIFFERENCE_MS = 20
+MAX_CANDIDATES = 32
+"""Partners that are looked at to each side of a stamp: a video has one or two within the time; times that are no
+video's would take all memory."""
 MAX_DIFFERENCE_NS = MAX_DIFFERENCE_MS * 1_000_000
 
 Numbers = tuple[int, ...]
@@ -106,8 +109,9 @@ def associate(
     """
     candidates = []
     for i, stamp in enumerate(first):
-        start = bisect_left(second, stamp - max_difference_ns)
-        stop = bisect_right(second, stamp + max_difference_ns)
+        nearest = bisect_left(second, stamp)
+        start = max(bisect_left(second, stamp - max_difference_ns), nearest - MAX_CANDIDATES)
+        stop = min(bisect_right(second, stamp + max_difference_ns), nearest + MAX_CANDIDATES)
         candidates += [(abs(second[j] - stamp), i, j) for j in range(start, stop)]
     partners: dict[int, int] = {}
     taken = set()

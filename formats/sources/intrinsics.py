@@ -20,10 +20,23 @@ from threedvc.formats.sources.recording import KnownCameras, SourceOptions, reso
 from threedvc.formats.sources.text import read_json, read_rows
 from threedvc.pose import Pose
 
-__all__ = ["CameraFile", "PictureSize", "find_cameras", "numbers_option", "published_camera", "read_intrinsics"]
+__all__ = [
+    "MAX_FPS",
+    "MIN_FPS",
+    "CameraFile",
+    "PictureSize",
+    "find_cameras",
+    "numbers_option",
+    "published_camera",
+    "read_intrinsics",
+]
 
 PictureSize = tuple[int, int]
 
+MIN_FPS, MAX_FPS = 1e-3, 1e5
+"""From a frame in a quarter of an hour to more than any camera takes."""
+MIN_DEPTH_SCALE, MAX_DEPTH_SCALE = 1e-3, 1e9
+"""Units from a kilometre to a nanometre."""
 INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
 REMEDY = "give --intrinsics FILE or fx,fy,cx,cy"
 
@@ -136,8 +149,8 @@ def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> Camer
         content = {**content, **_mapping(content, "intrinsic", path)}
     file = CameraFile(
         rig=_two_cameras(content, path) if "color" in content else _one_camera(content, path, color, depth),
-        depth_scale=_optional_positive(content, "depth_scale", path),
-        fps=_optional_positive(content, "fps", path),
+        depth_scale=_optional_positive(content, "depth_scale", path, MIN_DEPTH_SCALE, MAX_DEPTH_SCALE),
+        fps=_optional_positive(content, "fps", path, MIN_FPS, MAX_FPS),
         T_base_depth=_transform(content, "T_base_depth", path),
     )
     return _checked(file, str(path))
@@ -234,12 +247,14 @@ def _mapping(content: Mapping[str, object], name: str, path: Path) -> Mapping[st
     return value
 
 
-def _optional_positive(content: Mapping[str, object], name: str, path: Path) -> float | None:
+def _optional_positive(content: Mapping[str, object], name: str, path: Path, least: float, most: float) -> float | None:
     if content.get(name) is None:
         return None
     value = _number(content, name, path)
     if value <= 0:
         raise SequenceError(f"{path}: {name} is {value:g}, expected a positive number; correct the file")
+    if not least <= value <= most:
+        raise SequenceError(f"{path}: {name} is {value:g}, expected {least:g} to {most:g}; correct the file")
     return value
 
 

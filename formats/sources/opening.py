@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.sources.intrinsics import MAX_FPS, MIN_FPS
 from threedvc.formats.sources.recording import KnownCameras, Recording, SourceOptions
 from threedvc.formats.sources.registry import AUTO, find_layout
 from threedvc.formats.sources.sequence import FolderSequence
@@ -76,6 +77,8 @@ def open_sequence(
     for name, value in (("--depth-scale", depth_scale), ("--fps", fps), ("--max-depth", max_depth_m)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ConfigError(f"{name} {value:g}: must be a positive number; correct it or leave it out")
+    if fps is not None and not MIN_FPS <= fps <= MAX_FPS:
+        raise ConfigError(f"--fps {fps:g}: must be within {MIN_FPS:g} and {MAX_FPS:g}; correct it or leave it out")
     folder = Path(path)
     require_folder(folder)
     options = SourceOptions(

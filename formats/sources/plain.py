@@ -61,7 +61,7 @@ MAX_LABEL = 255
 
 def recognises(folder: Path) -> bool:
     """Tell whether the folder has our intrinsics, poses or times beside ``color/`` or ``depth/``."""
-    own_files = any((folder / name).is_file() for name in (INTRINSICS, POSES, OBJECT_POSES, TIMESTAMPS))
+    own_files = any((folder / name).exists() for name in (INTRINSICS, POSES, OBJECT_POSES, TIMESTAMPS))
     return own_files and ((folder / "color").is_dir() or (folder / "depth").is_dir())
 
 
@@ -70,14 +70,14 @@ def read(folder: Path, options: SourceOptions) -> Recording:
     color = chosen_folder(folder, options.color, folder / "color", "--color")
     pairing = pair_pictures(color, chosen_folder(folder, options.depth, folder / "depth", "--depth"))
     own_file = folder / INTRINSICS
-    cameras = find_cameras(folder, options, pairing.pairs[0], own_file if own_file.is_file() else None)
+    cameras = find_cameras(folder, options, pairing.pairs[0], own_file if own_file.exists() else None)
     if cameras is None:
         raise SequenceError(f"{own_file}: no camera intrinsics; add the file, or {REMEDY}")
     for path, _ in pairing.pairs:
         _require_number(path)
     clock = _clock(folder, pairing, options.fps or cameras.fps)
     masks = find_masks(folder, pairing)
-    has_times = (folder / TIMESTAMPS).is_file() and not pairing.stamps
+    has_times = (folder / TIMESTAMPS).exists() and not pairing.stamps
     return assemble(
         folder,
         _frames(folder, pairing, clock, masks),
@@ -117,7 +117,7 @@ def _require_number(path: Path) -> None:
 
 
 def _camera_poses(path: Path, numbers: Sequence[int]) -> dict[int, Pose | None]:
-    if not path.is_file():
+    if not path.exists():
         return {}
     rows = _rows_by_number(path)
     if not rows.keys() & set(numbers):
@@ -137,11 +137,11 @@ def _camera_poses(path: Path, numbers: Sequence[int]) -> dict[int, Pose | None]:
 def _clock(folder: Path, pairing: Pairing, told: float | None) -> Clock:
     """Return the times of the file, else those in the names, else those of a regular clock."""
     path, numbers = folder / TIMESTAMPS, pairing.numbers
-    if not path.is_file() and pairing.stamps:
+    if not path.exists() and pairing.stamps:
         return clock_of(pairing.stamps, len(numbers), told, str(folder))
     fps = told or DEFAULT_FPS
     regular = Clock([(regular_stamp(number - numbers[0], fps), None) for number in numbers], fps)
-    if not path.is_file():
+    if not path.exists():
         return regular
     stamps = _file_stamps(path, numbers)
     unit = unit_of([Decimal(stamp) for stamp, _ in stamps], "nanoseconds")
@@ -195,7 +195,7 @@ def _require_all(path: Path, numbers: Sequence[int], found: Mapping[int, Item], 
 
 def _object_poses(path: Path, count: int) -> list[dict[int, Pose]]:
     frames: list[dict[int, Pose]] = [{} for _ in range(count)]
-    if not path.is_file():
+    if not path.exists():
         return frames
     for label, entries in read_json(path).items():
         for frame, pose in _poses_of_object(path, label, entries, count):

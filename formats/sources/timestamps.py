@@ -137,8 +137,8 @@ def rate_of(stamps: Sequence[int], told: float | None, place: str) -> Rate:
     nominal = told or fps_of_stamps(stamps, mean)
     if abs(nominal - mean) <= SAME_RATE * mean:
         return Rate(nominal)
-    if told is None:
-        return Rate(mean)
+    if told is None or abs(told - fps_of_stamps(stamps, mean)) <= SAME_RATE * told:
+        return Rate(mean)  # some frames were lost
     text = f"{place}: its stamps are those of {mean:g} frames per second, not {told:g}; the stamps are used"
     return Rate(mean, (Notice(text, warning=True),))
 

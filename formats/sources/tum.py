@@ -38,8 +38,9 @@ __all__ = ["DEPTH_SCALE", "LAYOUT"]
 DEPTH_SCALE = 5000.0
 ASSOCIATIONS = "assoc*.txt"
 GROUND_TRUTH = "groundtruth.txt"
-HEADING = re.compile(r"[A-Za-z_]")
-"""A first line that begins so names the columns."""
+HEADING = re.compile(r"(?!nan|inf)[A-Za-z_]", re.IGNORECASE)
+"""A first line that begins so names the columns; one that is no number stands for a time that is not known."""
+DECIMAL_COMMA = re.compile(r"\d+,\d+\s+\S")
 GLUED_ROW = re.compile(r"#.*?qw\s*([-+\d].*)")
 
 CAMERAS = {
@@ -77,7 +78,7 @@ class StampedPair:
 
 def recognises(folder: Path) -> bool:
     """Tell whether the folder has ``rgb.txt`` and ``depth.txt``, or an associations file."""
-    lists = (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file()
+    lists = (folder / "rgb.txt").exists() and (folder / "depth.txt").exists()
     return lists or any(folder.glob(ASSOCIATIONS))
 
 
@@ -156,6 +157,8 @@ def _stamped_paths(path: Path, fps: float) -> _StampedPaths:
     stamped: list[tuple[Decimal, Path]] = []
     for number, line in read_lines(path):
         place = f"{path}:{number}"
+        if DECIMAL_COMMA.match(line):
+            raise SequenceError(f"{place}: the time has a comma where its decimal point should be; write points")
         stamp, _, name = line.replace("\t", " ").partition("," if "," in line else " ")
         if not name.strip():
             raise SequenceError(f"{place}: expected a stamp and a path; correct the line")
@@ -196,7 +199,7 @@ def _nanoseconds(stamp: Decimal, unit: str | None, fps: float) -> int:
 
 
 def _ground_truth(path: Path, fps: float) -> tuple[list[int], list[Pose]]:
-    if not path.is_file():
+    if not path.exists():
         return [], []
     poses = {_stamp(row.fields[0], row.place): pose_from_row(row) for row in _ground_truth_rows(path)}
     ordered = sorted(poses)
@@ -215,7 +218,7 @@ def _ground_truth_rows(path: Path) -> list[Row]:
 
 
 def _known_camera(folder: Path) -> Camera | None:
-    header = read_text(folder / "rgb.txt")[:200] if (folder / "rgb.txt").is_file() else ""
+    header = read_text(folder / "rgb.txt")[:200] if (folder / "rgb.txt").exists() else ""
     sequence = re.search(r"(?:freiburg|fr)([123])(?!\d)", f"{folder.resolve().name} {header}")
     return CAMERAS[sequence[1]] if sequence else None
 

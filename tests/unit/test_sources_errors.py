@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -646,8 +647,11 @@ def test_bad_tum_associations(tmp_path: Path) -> None:
 def test_unreadable_text_file(recording: Path) -> None:
     path = recording / "poses.txt"
     path.mkdir()
-    assert len(open_sequence(recording)) == FRAMES
+    assert message(recording) == f"{path}: is no regular file; put the file itself there"
     path.rmdir()
+    os.mkfifo(path)
+    assert message(recording) == f"{path}: is no regular file; put the file itself there"
+    path.unlink()
     path.write_bytes(b"\xff\x00")
     assert message(recording) == f"{path}: is not a text file; check that the file is what its name says"
 
