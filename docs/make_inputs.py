@@ -229,6 +229,7 @@ def inputs_document(folder: Path) -> str:
             text = result_of(recording, case.options)
             for place in (recording, recording.resolve(), Path(scratch), Path(scratch).resolve()):
                 text = text.replace(str(place), RECORDING)
+            text = re.sub(r"/home/\w+/\w+", "ELSEWHERE", text)
             cells = (f"`{case.name}`", case.oddity, re.sub(r"[\udc80-\udcff]", "?", text))
             rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     return INTRODUCTION + "".join(rows)
