@@ -215,6 +215,9 @@ class FakeStream:
     def info(self) -> SequenceInfo:
         return self.infos[0]
 
+    def close(self) -> None:
+        """Do what closing a stream does that is read to its end."""
+
     def __iter__(self) -> Iterator[FakeDecodedFrame]:
         for packet in self._reader:
             if packet.type == PacketType.BATCH:
