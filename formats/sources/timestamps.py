@@ -133,7 +133,8 @@ def rate_of(stamps: Sequence[int], told: float | None, place: str) -> Rate:
     duration = stamps[-1] - stamps[0] if stamps else 0
     if duration <= 0:
         return Rate(told or DEFAULT_FPS)
-    mean = round((len(stamps) - 1) * NANOSECONDS / duration, 3) or (len(stamps) - 1) * NANOSECONDS / duration
+    intervals = len(set(stamps)) - 1  # two frames at one time are no sign of a faster camera
+    mean = round(intervals * NANOSECONDS / duration, 3) or intervals * NANOSECONDS / duration
     nominal = told or fps_of_stamps(stamps, mean)
     if abs(nominal - mean) <= SAME_RATE * mean:
         return Rate(nominal)
