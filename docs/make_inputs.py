@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
+from warnings import catch_warnings, simplefilter
 
 from threedvc.config import EncoderConfig
 from threedvc.errors import ThreedvcError
@@ -200,7 +201,8 @@ def make_recording(folder: Path, case: Case, output: Path) -> Path:
     arguments = [str(folder / f"{case.program}.py"), str(output), *case.variant.split()]
     path = [str(folder), *sys.path]
     silent = contextlib.redirect_stdout(io.StringIO())
-    with silent, mock.patch.object(sys, "argv", arguments), mock.patch.object(sys, "path", path):
+    with silent, mock.patch.object(sys, "argv", arguments), mock.patch.object(sys, "path", path), catch_warnings():
+        simplefilter("ignore", ResourceWarning)  # these programs leave the closing of files to their end
         runpy.run_path(arguments[0], run_name="__main__")
     if case.program == "name_bytes":
         return Path(os.fsdecode(os.fsencode(output.parent) + b"/bad\xff"))
