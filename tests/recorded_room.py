@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.camera import Camera
-from threedvc.pose import Pose, make_pose, rotation_from_vector
+from threedvc.pose import Pose, make_pose, quaternion, rotation_from_vector
 
 WALLS = np.array([[-2.0, -1.5, -2.0], [2.0, 1.5, 2.5]])
 SMALL = Camera(width=64, height=48, fx=60.0, fy=61.0, cx=31.0, cy=24.5)
@@ -64,6 +64,12 @@ def write_picture(path: Path, picture: NDArray[np.generic]) -> None:
     stored = picture[..., ::-1] if picture.ndim == 3 else picture
     quality = [cv2.IMWRITE_JPEG_QUALITY, 100] if path.suffix == ".jpg" else []
     path.write_bytes(cv2.imencode(path.suffix, np.ascontiguousarray(stored), quality)[1].tobytes())
+
+
+def pose_row(key: object, pose: Pose) -> str:
+    """Write a pose as ``key tx ty tz qx qy qz qw``."""
+    values = [*pose[:3, 3], *quaternion(pose[:3, :3])]
+    return " ".join([str(key), *(f"{value:.9f}" for value in values)])
 
 
 def write_lines(path: Path, lines: Sequence[str]) -> None:

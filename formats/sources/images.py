@@ -31,6 +31,11 @@ EXIF, ORIENTATION_TAG = b"Exif\0\0", 0x0112
 HEAD_BYTES = 64
 MAX_PIXELS = 1 << 26
 """64 million pixels: more than any depth camera's colour picture has, and a few hundred megabytes once decoded."""
+PNG_FIRST_CHUNK = 25
+"""Bytes of IHDR with its length, type and checksum."""
+PNG_CHECKSUM_BYTES = 4
+MAX_EXIF_BYTES = 1 << 16
+"""What a JPEG segment can hold, where EXIF comes from."""
 OTHER_KINDS = (
     (rb"II\*\0|MM\0\*", "TIFF"),
     (rb"\x93NUMPY", "a NumPy array"),
@@ -92,7 +97,8 @@ def read_header(path: Path) -> PictureHeader:
         with path.open("rb") as file:
             magic = file.read(HEAD_BYTES)
             if magic.startswith(PNG_MAGIC):
-                header = _png_header(path, magic[len(PNG_MAGIC) :])
+                file.seek(len(PNG_MAGIC))
+                header = _png_header(path, file)
             elif magic.startswith(JPEG_MAGIC):
                 file.seek(2)
                 header = _jpeg_header(path, file)
@@ -113,11 +119,29 @@ def _kind_of(head: bytes) -> str:
     return "neither PNG nor JPEG" if found is None else f"neither PNG nor JPEG but {found}"
 
 
-def _png_header(path: Path, chunk: bytes) -> PictureHeader:
-    if len(chunk) < 18 or chunk[4:8] != b"IHDR" or chunk[17] not in PNG_CHANNELS:
+def _png_header(path: Path, file: BinaryIO) -> PictureHeader:
+    """Read the chunks before the pixels: IHDR, and eXIf for the orientation."""
+    chunk = file.read(PNG_FIRST_CHUNK)
+    if len(chunk) < PNG_FIRST_CHUNK or chunk[4:8] != b"IHDR" or chunk[17] not in PNG_CHANNELS:
         raise _unreadable(path, "damaged PNG header")
     width, height = int.from_bytes(chunk[8:12], "big"), int.from_bytes(chunk[12:16], "big")
-    return PictureHeader(width, height, PNG_CHANNELS[chunk[17]], chunk[16], palette=chunk[17] == PNG_PALETTE)
+    return PictureHeader(
+        width,
+        height,
+        PNG_CHANNELS[chunk[17]],
+        chunk[16],
+        palette=chunk[17] == PNG_PALETTE,
+        orientation=_png_orientation(file),
+    )
+
+
+def _png_orientation(file: BinaryIO) -> int:
+    while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
+        length = int.from_bytes(head[:4], "big")
+        if head[4:] == b"eXIf":
+            return _tiff_orientation(file.read(min(length, MAX_EXIF_BYTES))) or 1
+        file.seek(length + PNG_CHECKSUM_BYTES, 1)
+    return 1
 
 
 def _jpeg_header(path: Path, file: BinaryIO) -> PictureHeader:
@@ -148,9 +172,13 @@ def _jpeg_marker(file: BinaryIO) -> int | None:
 
 def _exif_orientation(segment: bytes) -> int | None:
     """Return the orientation that an APP1 segment tells, None if it tells none."""
-    tiff = segment[len(EXIF) :]
+    return _tiff_orientation(segment[len(EXIF) :]) if segment.startswith(EXIF) else None
+
+
+def _tiff_orientation(tiff: bytes) -> int | None:
+    """Return the orientation in the first directory of EXIF's TIFF structure, None if there is none."""
     order: Literal["big", "little"] = "big" if tiff.startswith(b"MM") else "little"
-    if not segment.startswith(EXIF) or len(tiff) < 10:
+    if len(tiff) < 10:
         return None
     start = int.from_bytes(tiff[4:8], order)
     count = int.from_bytes(tiff[start : start + 2], order)

@@ -27,8 +27,10 @@ __all__ = [
     "clock_of",
     "fps_of_stamps",
     "parse_nanoseconds",
+    "parse_stamp",
     "rate_of",
     "regular_stamp",
+    "to_nanoseconds",
     "unit_of",
 ]
 
@@ -44,21 +46,21 @@ SAME_RATE = 0.05
 """Cameras keep their nominal rate within a few per cent."""
 
 
-def parse_seconds(text: str) -> int:
-    """Turn decimal seconds such as ``1305031102.175304`` into nanoseconds.
+def parse_stamp(text: str) -> Decimal:
+    """Turn a decimal number such as ``1305031102.175304`` into a stamp, in a unit that `unit_of` finds.
 
     Raises
     ------
     ValueError
-        If the text is not a finite decimal number or leaves the range of int64 nanoseconds.
+        If the text is not a finite decimal number within 64 bits.
     """
     try:
-        seconds = Decimal(text)
+        stamp = Decimal(text)
     except InvalidOperation:
-        raise ValueError(f"{text!r} is not a time in seconds") from None
-    if not seconds.is_finite() or abs(seconds) * NANOSECONDS >= INT64_LIMIT:
+        raise ValueError(f"{text!r} is not a time in seconds within 292 years") from None
+    if not stamp.is_finite() or abs(stamp) >= INT64_LIMIT:
         raise ValueError(f"{text!r} is not a time in seconds within 292 years")
-    return int((seconds * NANOSECONDS).to_integral_value())
+    return stamp
 
 
 def parse_nanoseconds(text: str) -> int:
@@ -75,6 +77,11 @@ def parse_nanoseconds(text: str) -> int:
 def regular_stamp(index: int, fps: float) -> int:
     """Return the stamp of frame `index` of a regular clock that starts at 0, rounded to a nanosecond."""
     return round(Fraction(index * NANOSECONDS) / Fraction(fps))
+
+
+def to_nanoseconds(stamp: Decimal, unit: str | None, fps: float) -> int:
+    """Turn a stamp into nanoseconds, exactly; one without a unit counts the frames of a regular clock."""
+    return regular_stamp(int(stamp), fps) if unit is None else int((stamp * UNITS[unit]).to_integral_value())
 
 
 def unit_of(stamps: Sequence[Decimal], meant: str) -> str | None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 from threedvc.camera import Camera
@@ -30,7 +30,7 @@ from threedvc.formats.sources.recording import (
     SourceOptions,
 )
 from threedvc.formats.sources.text import Row, read_lines, read_rows, read_text
-from threedvc.formats.sources.timestamps import INT64_LIMIT, UNITS, rate_of, regular_stamp, unit_of
+from threedvc.formats.sources.timestamps import parse_stamp, rate_of, to_nanoseconds, unit_of
 from threedvc.pose import Pose
 
 __all__ = ["DEPTH_SCALE", "LAYOUT"]
@@ -41,6 +41,9 @@ GROUND_TRUTH = "groundtruth.txt"
 HEADING = re.compile(r"(?!nan|inf)[A-Za-z_]", re.IGNORECASE)
 """A first line that begins so names the columns; one that is no number stands for a time that is not known."""
 DECIMAL_COMMA = re.compile(r"\d+,\d+\s+\S")
+ASSOCIATION = re.compile(
+    r"(?P<at>[^\s,]+)[\s,]+(?P<first>\S.*?\.\w+[\"']?)[\s,]+(?P<then>[^\s,]+)[\s,]+(?P<second>\S.*\.\w+[\"']?)[\s,]*"
+)
 GLUED_ROW = re.compile(r"#.*?qw\s*([-+\d].*)")
 
 CAMERAS = {
@@ -128,21 +131,29 @@ def _pairs(folder: Path, fps: float) -> tuple[list[StampedPair], list[Notice]]:
 
 def _associations(path: Path, fps: float) -> tuple[list[StampedPair], list[Notice]]:
     """Read lines of a stamp and a path for colour and for depth, in either order."""
-    rows = read_rows(path)
     columns: list[list[tuple[Decimal, Path]]] = [[], []]
-    for row in rows:
-        names_depth = ["depth" in field.lower() for field in row.fields[1::2]]
-        if len(row.fields) != 4 or sorted(names_depth) != [False, True]:
-            raise SequenceError(f"{row.place}: expected stamp, colour path, stamp, depth path; correct the line")
-        stamped = [(_stamp(row.fields[at], row.place), path.parent / _path(row.fields[at + 1])) for at in (0, 2)]
-        depth, color = stamped if names_depth[0] else reversed(stamped)
+    for index, (number, line) in enumerate(read_lines(path)):
+        if index == 0 and HEADING.match(line):
+            continue
+        place = f"{path}:{number}"
+        names = _stamped_names(line, place)
+        stamped = [(_stamp(stamp, place), path.parent / _path(name)) for stamp, name in names]
+        depth, color = stamped if "depth" in names[0][1].lower() else reversed(stamped)
         columns[0].append(color)
         columns[1].append(depth)
     unit, notices = _unit([stamp for stamp, _ in columns[1]], path, fps)
     return [
-        StampedPair(_nanoseconds(a, unit, fps), color, _nanoseconds(b, unit, fps), depth)
+        StampedPair(to_nanoseconds(a, unit, fps), color, to_nanoseconds(b, unit, fps), depth)
         for (a, color), (b, depth) in zip(*columns, strict=True)
     ], notices
+
+
+def _stamped_names(line: str, place: str) -> list[tuple[str, str]]:
+    """Split a line into two stamps and two names, which may have spaces in them; raises SequenceError."""
+    found = ASSOCIATION.fullmatch(line)
+    if not found or ("depth" in found["first"].lower()) == ("depth" in found["second"].lower()):
+        raise SequenceError(f"{place}: expected stamp, colour path, stamp, depth path; correct the line")
+    return [(found["at"], found["first"]), (found["then"], found["second"])]
 
 
 @dataclass(frozen=True)
@@ -166,7 +177,7 @@ def _stamped_paths(path: Path, fps: float) -> _StampedPaths:
             stamped.append((_stamp(stamp.strip(), place), path.parent / _path(name)))
     stamped.sort()
     unit, notices = _unit([stamp for stamp, _ in stamped], path, fps)
-    return _StampedPaths([(_nanoseconds(stamp, unit, fps), picture) for stamp, picture in stamped], notices)
+    return _StampedPaths([(to_nanoseconds(stamp, unit, fps), picture) for stamp, picture in stamped], notices)
 
 
 def _path(text: str) -> str:
@@ -185,17 +196,9 @@ def _unit(stamps: Sequence[Decimal], path: Path, fps: float) -> tuple[str | None
 def _stamp(text: str, place: str) -> Decimal:
     """Return a decimal number; raises SequenceError naming the place."""
     try:
-        stamp = Decimal(text)
-    except InvalidOperation:
-        stamp = Decimal("NaN")
-    if not stamp.is_finite() or abs(stamp) >= INT64_LIMIT:
-        raise SequenceError(f"{place}: {text!r} is not a time in seconds within 292 years; correct the line")
-    return stamp
-
-
-def _nanoseconds(stamp: Decimal, unit: str | None, fps: float) -> int:
-    """Return a stamp in nanoseconds; one that counts frames on a regular clock."""
-    return regular_stamp(int(stamp), fps) if unit is None else int((stamp * UNITS[unit]).to_integral_value())
+        return parse_stamp(text)
+    except ValueError as error:
+        raise SequenceError(f"{place}: {error}; correct the line") from None
 
 
 def _ground_truth(path: Path, fps: float) -> tuple[list[int], list[Pose]]:
@@ -204,12 +207,14 @@ def _ground_truth(path: Path, fps: float) -> tuple[list[int], list[Pose]]:
     poses = {_stamp(row.fields[0], row.place): pose_from_row(row) for row in _ground_truth_rows(path)}
     ordered = sorted(poses)
     unit, _ = _unit(ordered, path, fps)
-    return [_nanoseconds(stamp, unit, fps) for stamp in ordered], [poses[stamp] for stamp in ordered]
+    return [to_nanoseconds(stamp, unit, fps) for stamp in ordered], [poses[stamp] for stamp in ordered]
 
 
 def _ground_truth_rows(path: Path) -> list[Row]:
     """Return the rows, with the first one where a writer left no newline after the header comment."""
     rows = read_rows(path)
+    if rows and HEADING.match(rows[0].fields[0]):
+        rows = rows[1:]
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         glued = GLUED_ROW.fullmatch(line.strip())
         if glued and len(glued[1].split()) == 8:

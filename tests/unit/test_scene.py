@@ -219,6 +219,27 @@ def test_the_default_cell_is_that_of_the_object() -> None:
     assert default_voxel_size(close, whole(close), INFO.rig) == 0.001
 
 
+@pytest.mark.parametrize(
+    "early",
+    [
+        pytest.param([0.0], id="one frame without depth"),
+        pytest.param([0.0, 0.0, 0.0], id="three frames without depth"),
+        pytest.param([0.3], id="a few near points first"),
+        pytest.param([9.0, 0.0, 0.2], id="a few far, none, a few near"),
+    ],
+)
+def test_frames_with_hardly_any_depth_choose_nothing(early: list[float]) -> None:
+    late, whole_from_the_start = Scene(INFO, config()), Scene(INFO, config())
+    whole_from_the_start.add(frame(0, boxed=False))
+    for k, distance in enumerate(early):
+        depth = np.zeros((36, 48), dtype=np.float32)
+        depth[4, 5:9] = distance
+        late.add(replace(frame(k, boxed=False), depth=depth))
+    late.add(frame(len(early), boxed=False))
+    assert late.distance_m == whole_from_the_start.distance_m == pytest.approx(1.5)
+    assert late.objects[0].evidence.voxel_size_m == whole_from_the_start.objects[0].evidence.voxel_size_m
+
+
 def test_sensor_is_guessed_once_or_given() -> None:
     rng = np.random.default_rng(4)
     smooth, noisy = Scene(INFO, config(sensor=Sensor.AUTO)), Scene(INFO, config(sensor=Sensor.AUTO))

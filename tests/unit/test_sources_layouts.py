@@ -12,25 +12,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorded_room import SMALL, VGA, color_picture, depth_picture, poses, wall_colors, write_lines, write_picture
+from recorded_room import (
+    SMALL,
+    VGA,
+    color_picture,
+    depth_picture,
+    pose_row,
+    poses,
+    wall_colors,
+    write_lines,
+    write_picture,
+)
 from reference_warp import colors_at, depth_differences, world_points
 from threedvc.camera import Camera, CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.formats.sources.seven_scenes import RIG
 from threedvc.formats.sources.tum import CAMERAS
-from threedvc.pose import Pose, identity, make_pose, quaternion, rotation_from_vector
+from threedvc.pose import Pose, identity, make_pose, rotation_from_vector
 
 FRAMES = 3
 INTRINSIC_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 TUM_STAMPS = ["1305031102.175304", "1305031102.211214", "1305031102.243211"]
 TUM_DEPTH_STAMPS = ["1305031102.160407", "1305031102.226738", "1305031102.262886"]
 TUM_DEPTH_STAMPS_NS = [1305031102160407000, 1305031102226738000, 1305031102262886000]
-
-
-def row(key: object, pose: Pose) -> str:
-    values = [*pose[:3, 3], *quaternion(pose[:3, :3])]
-    return " ".join([str(key), *(f"{value:.9f}" for value in values)])
 
 
 def matrix_lines(pose: Pose) -> list[str]:
@@ -64,7 +69,9 @@ def write_plain(folder: Path, rig: CameraRig, units: float = 1000.0, suffix: str
     for k, pose in enumerate(poses(FRAMES)):
         write_picture(folder / "color" / f"{k:06d}{suffix}", color_picture(rig.color, pose))
         write_picture(folder / "depth" / f"{k:06d}.png", depth_picture(rig.depth, pose, units))
-    write_lines(folder / "poses.txt", ["# frame tx ty tz", *(row(k, pose) for k, pose in enumerate(poses(FRAMES)))])
+    write_lines(
+        folder / "poses.txt", ["# frame tx ty tz", *(pose_row(k, pose) for k, pose in enumerate(poses(FRAMES)))]
+    )
 
 
 def test_plain_registered(tmp_path: Path) -> None:
@@ -101,7 +108,7 @@ def test_plain_with_two_cameras(tmp_path: Path) -> None:
         color_pose = pose @ np.linalg.inv(rig.T_color_depth)
         write_picture(tmp_path / "color" / f"{k:06d}.png", color_picture(rig.color, color_pose))
         write_picture(tmp_path / "depth" / f"{k:06d}.png", depth_picture(rig.depth, pose, 1000))
-    write_lines(tmp_path / "poses.txt", [row(k, pose) for k, pose in enumerate(poses(FRAMES))])
+    write_lines(tmp_path / "poses.txt", [pose_row(k, pose) for k, pose in enumerate(poses(FRAMES))])
     content = {"color": camera_entries(rig.color), "depth": camera_entries(rig.depth)}
     (tmp_path / "intrinsics.json").write_text(json.dumps({**content, "T_color_depth": rig.T_color_depth.tolist()}))
     sequence = open_sequence(tmp_path)
@@ -124,7 +131,7 @@ def write_tum(folder: Path, camera: Camera, header: str = "# file: 'rgbd_dataset
     unpaired = "1305031102.999999 depth/absent.png"
     depth_lines = [f"{stamp} depth/{stamp}.png" for stamp in TUM_DEPTH_STAMPS]
     write_lines(folder / "depth.txt", [*comments, *depth_lines, unpaired])
-    truth = [row(stamp, pose) for stamp, pose in zip(TUM_DEPTH_STAMPS, poses(FRAMES), strict=True)]
+    truth = [pose_row(stamp, pose) for stamp, pose in zip(TUM_DEPTH_STAMPS, poses(FRAMES), strict=True)]
     # No newline after the header, as some writers leave it.
     (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw" + "\n".join(truth) + "\n")
 
@@ -144,7 +151,7 @@ def test_tum(tmp_path: Path) -> None:
 def test_tum_interpolates_the_ground_truth_at_the_depth_picture(tmp_path: Path) -> None:
     write_tum(tmp_path, VGA)
     early, late = poses(2)
-    truth = [row("1305031102.130407", early), row("1305031102.190407", late), row("1305031103", late)]
+    truth = [pose_row("1305031102.130407", early), pose_row("1305031102.190407", late), pose_row("1305031103", late)]
     write_lines(tmp_path / "groundtruth.txt", truth)
     sequence = open_sequence(tmp_path, intrinsics="525,525,319.5,239.5")
     middle = sequence[0].T_world_camera
@@ -180,7 +187,7 @@ def test_icl_nuim(tmp_path: Path) -> None:
     write_tum_pictures(tmp_path, camera, [("0", "0"), ("1", "1"), ("2", "2")])
     write_lines(tmp_path / "associations.txt", [f"{k} depth/{k}.png {k} rgb/{k}.png" for k in range(FRAMES)])
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
-    truth = [row(k, mirror @ pose @ mirror) for k, pose in enumerate(poses(FRAMES))]
+    truth = [pose_row(k, mirror @ pose @ mirror) for k, pose in enumerate(poses(FRAMES))]
     write_lines(tmp_path / "livingRoom0.gt.freiburg", truth)
     sequence = open_sequence(tmp_path)
     assert sequence.info.rig.color == camera
