@@ -21,19 +21,19 @@ import montage
 from paper_report import EARLY, OBJECT, Result, Snapshot, report
 from spheres import Spheres, View, draw, spheres_of_cells
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.encoder import Encoder
-from threedvc.formats.api import open_stream
+from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.scene import SceneObject
 from threedvc.formats.container import open_output
+from threedvc.formats.decoding import open_stream
+from threedvc.formats.evaluation.statistics import statistics
 from threedvc.formats.sinks.plain import PlainSink
 from threedvc.formats.sources import open_sequence
-from threedvc.formats.statistics import statistics
-from threedvc.frame import FrameSequence
-from threedvc.metrics import DepthErrors, depth_units, psnr
+from threedvc.frames.frame import FrameSequence
+from threedvc.geometry.pose import rotation_from_vector
+from threedvc.metrics.picture_quality import DepthErrors, depth_units, psnr
 from threedvc.parallel import default_threads
-from threedvc.pose import rotation_from_vector
-from threedvc.readout import read_surface
-from threedvc.report import FrameReport
-from threedvc.scene import SceneObject
+from threedvc.stream.frame_report import FrameReport
 from threedvc.synthesis import SyntheticSequence, make_scene
 from threedvc.synthesis.scenes import PAPER_THRESHOLD_M
 

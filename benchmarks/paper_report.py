@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reporting import commit, markdown_table
-from threedvc.formats.statistics import StreamStatistics
-from threedvc.metrics import DepthErrors, PaperAccounting
-from threedvc.pose import Pose
+from threedvc.formats.evaluation.statistics import StreamStatistics
+from threedvc.geometry.pose import Pose
+from threedvc.metrics.picture_quality import DepthErrors, PaperAccounting
 
 __all__ = ["BACKGROUND", "CASES", "EARLY", "OBJECT", "PAPER_CELLS", "Case", "Result", "Snapshot", "report"]
 

@@ -17,7 +17,7 @@ __all__ = ["InverseDepth", "filled", "lanczos", "resized", "rgb_of", "triangle",
 Plane = NDArray[np.float32]
 Kernel = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-# BT.601, full range: luma is that of `threedvc.metrics`.
+# BT.601, full range: luma is that of `threedvc.metrics.picture_quality`.
 RGB_TO_YUV = np.array(
     [[0.299, 0.587, 0.114], [-0.299 / 1.772, -0.587 / 1.772, 0.5], [0.5, -0.587 / 1.402, -0.114 / 1.402]],
     dtype=np.float32,

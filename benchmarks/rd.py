@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Compare 3dvc with AV1 for colour and AV1 for depth: bytes at equal quality, and BD-rate.
 
-Encodes each sequence at several rates with both, scores all by `threedvc.metrics`, writes tables and plots::
+Encodes each sequence at several rates with both, scores all by `threedvc.metrics.picture_quality`, writes tables and
+plots::
 
     python benchmarks/rd.py [FOLDER...] [--frames N] [--rates KBIT_S,...] [--out FILE.md]
 

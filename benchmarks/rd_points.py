@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Points of rate-distortion curves: encode at some setting, decode, score; keep what was measured as JSON.
 
-Pictures of either codec go through one `Score`, which measures them by `threedvc.metrics`.
+Pictures of either codec go through one `Score`, which measures them by `threedvc.metrics.picture_quality`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from sequences import Run
 from threedvc.cli.main import main as command
 from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.formats.sources import FolderSequence, open_sequence
-from threedvc.frame import SequenceInfo
-from threedvc.metrics import ColorQuality, DepthErrors, depth_units, mean_color_quality
+from threedvc.frames.frame import SequenceInfo
+from threedvc.metrics.picture_quality import ColorQuality, DepthErrors, depth_units, mean_color_quality
 
 __all__ = ["RUNS", "Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
 

@@ -17,11 +17,11 @@ __all__ = ["COLOR", "DEPTH", "Result", "report"]
 COLOR, DEPTH = "psnr_rgb", "depth_within_1pct"
 CHOICES = ((COLOR,), (DEPTH,), (COLOR, DEPTH))
 NOTE = """\
-3dvc is always counted with its whole file, which holds colour, depth and motion; AV1 with its coded pictures alone,
-no container. Colour is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit inverse depth in
-luma, with the pixels that have none filled smoothly and no mask of them. Both are coded at full, half, quarter and
-an eighth of their size. Both codecs are scored on the same pictures by `threedvc.metrics`; depth only where the
-input has a value, and a lost pixel is a miss.
+3dvc is always counted with its whole file, which holds colour, depth and motion; AV1 with its coded
+pictures alone, no container. Colour is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit
+inverse depth in luma, with the pixels that have none filled smoothly and no mask of them. Both are coded at full, half,
+quarter and an eighth of their size. Both codecs are scored on the same pictures by `threedvc.metrics.picture_quality`;
+depth only where the input has a value, and a lost pixel is a miss.
 
 "Equal PSNR" is what AV1 needs for the PSNR-RGB of a point of 3dvc, colour alone; "equal within 1 %" what it needs
 for as many pixels within 1 % of the true depth, depth alone; "both" is their sum, two videos against one file. They

@@ -25,11 +25,11 @@ from rd import recorded
 from rd_points import Recording
 from reporting import commit, markdown_table
 from threedvc.config import Motion
-from threedvc.frame import Frame, SequenceInfo
+from threedvc.encoder.reconstruction.scene import Scene, SceneObject
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.pose import Pose, inverse
+from threedvc.metrics.trajectory import object_pose_error, trajectory_error
 from threedvc.parallel import default_threads
-from threedvc.pose import Pose, inverse
-from threedvc.scene import Scene, SceneObject
-from threedvc.trajectory import object_pose_error, trajectory_error
 
 __all__ = ["DISTURBANCES", "Course", "main", "tracked"]
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Train the network of threedvc/kernels/geometry_prior.py on random synthetic surfaces.
+"""Train the network of threedvc/kernels/coding/geometry_prior.py on random synthetic surfaces.
 
-    python benchmarks/train_geometry_prior.py [--scenes 160] [--steps 6000] > threedvc/coding/prior_weights.py
+    python benchmarks/train_geometry_prior.py [--scenes 160] [--steps 6000] > threedvc/coding/entropy/prior_weights.py
 
 Scenes are rooms with boxes, ellipsoids and cylinders, turned at random, with smooth noise on the
 distance field, holes, and a half space that was not seen; their one-cell shells are coded whole, or
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.morton import Cube, morton_codes
 from threedvc.coding.octree import Octree, TreeWalk
-from threedvc.kernels.geometry_prior import (
+from threedvc.kernels.coding.geometry_prior import (
     CHILD_PLACE,
     FEATURES,
     HEIGHTS,

@@ -22,7 +22,7 @@ from threedvc.cli.progress import Progress
 from threedvc.errors import TruncatedStream
 
 if TYPE_CHECKING:
-    from threedvc.pose import Pose
+    from threedvc.geometry.pose import Pose
 
 __all__ = ["decode"]
 
@@ -70,7 +70,7 @@ def decode(
     as far as it goes; the exit code is then 1.
     """
     from threedvc.config import FilterParts, RenderConfig
-    from threedvc.formats.api import open_stream
+    from threedvc.formats.decoding import open_stream
     from threedvc.formats.sinks.plain import PlainSink, sensor_folder
     from threedvc.parallel import default_threads
 
@@ -117,7 +117,7 @@ def decode(
 
 
 def _camera_path(path: Path) -> list[Pose]:
-    from threedvc.formats.sources.poses import pose_from_row
-    from threedvc.formats.sources.text import read_rows
+    from threedvc.formats.sources.files.poses import pose_from_row
+    from threedvc.formats.sources.files.text import read_rows
 
     return [pose_from_row(row) for row in read_rows(path)]

@@ -14,8 +14,8 @@ from threedvc.cli.options import json_option, object_numbers, stream_argument, t
 from threedvc.cli.progress import Progress
 
 if TYPE_CHECKING:
-    from threedvc.exploration import Proposal
-    from threedvc.formats.exploration import Exploration, ExploredObject
+    from threedvc.formats.view_planning import Exploration, ExploredObject
+    from threedvc.view_planning.targets import Proposal
 
 __all__ = ["explore"]
 
@@ -49,7 +49,7 @@ def explore(
     entropy that they are expected to take away, each beyond what the ones before it do.
     """
     from threedvc.config import ExplorationConfig, Sensor
-    from threedvc.formats.exploration import explore
+    from threedvc.formats.view_planning import explore
     from threedvc.parallel import default_threads
 
     config = ExplorationConfig(

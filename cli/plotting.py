@@ -15,8 +15,8 @@ from threedvc.errors import ConfigError
 from threedvc.formats.outputs import write_output
 
 if TYPE_CHECKING:
-    from threedvc.formats.spans import Span
-    from threedvc.formats.statistics import StreamStatistics
+    from threedvc.formats.evaluation.frame_ranges import Span
+    from threedvc.formats.evaluation.statistics import StreamStatistics
 
 __all__ = ["check_plotting", "is_plot", "plot_statistics"]
 

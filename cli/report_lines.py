@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from threedvc.formats.object_comparison import ObjectQuality
-    from threedvc.formats.spans import Span
-    from threedvc.formats.statistics import ObjectStatistics, StreamStatistics
-    from threedvc.trajectory import ObjectPoseError, TrajectoryError, Travel
+    from threedvc.formats.evaluation.frame_ranges import Span
+    from threedvc.formats.evaluation.object_comparison import ObjectQuality
+    from threedvc.formats.evaluation.statistics import ObjectStatistics, StreamStatistics
+    from threedvc.metrics.trajectory import ObjectPoseError, TrajectoryError, Travel
 
 __all__ = ["report_lines"]
 

@@ -18,7 +18,7 @@ from threedvc.cli.report_lines import report_lines
 from threedvc.formats.outputs import Kind, check_target, is_direct, write_output
 
 if TYPE_CHECKING:
-    from threedvc.formats.statistics import FrameStatistics
+    from threedvc.formats.evaluation.statistics import FrameStatistics
 
 __all__ = ["stats"]
 
@@ -64,7 +64,7 @@ def stats(
     are known there tell the errors of the trajectory and of the objects. It is read as the recording was; what the
     stream does not tell of that is given as for encode, once or once for each --reference.
     """
-    from threedvc.formats.statistics import statistics
+    from threedvc.formats.evaluation.statistics import statistics
 
     if plot is not None:
         check_plotting(plot)

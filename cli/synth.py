@@ -50,7 +50,7 @@ def synth(
     room     a hand-held camera in a furnished room that comes back to where it started
     """
     from threedvc.formats.sinks.plain import SYNTH, PlainSink, sensor_folder
-    from threedvc.pose import inverse
+    from threedvc.geometry.pose import inverse
     from threedvc.synthesis import make_scene, mounted_sequences
 
     sequences = mounted_sequences(make_scene(scene, frames=frames, size=size, seed=seed), sensors, noise, seed, threads)

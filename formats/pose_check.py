@@ -6,11 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from threedvc.config import EncoderConfig, Motion
+from threedvc.encoder.tracking.given_poses import measure_agreement
+from threedvc.encoder.tracking.pose_completion import SequenceWithPoses, complete_poses
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
-from threedvc.frame import FactualSequence, FrameSequence
-from threedvc.given_poses import measure_agreement
-from threedvc.pose_completion import SequenceWithPoses, complete_poses
+from threedvc.frames.frame import FactualSequence, FrameSequence
 
 __all__ = ["SettledPoses", "settle_poses"]
 

@@ -8,7 +8,7 @@ import io
 from threedvc.formats.container import Record, StreamReader, StreamWriter
 from threedvc.formats.container.checksum import crc32c
 from threedvc.formats.container.layout import CRC, PACKET_HEAD, SYNC
-from threedvc.packets import (
+from threedvc.stream.packets import (
     BatchHeader,
     EndHeader,
     ModelHeader,

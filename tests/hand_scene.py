@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from streams import ListSequence
-from threedvc.camera import Camera, CameraRig
-from threedvc.frame import Frame
-from threedvc.pose import make_pose, rotation_from_vector
+from threedvc.frames.frame import Frame
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import make_pose, rotation_from_vector
 from threedvc.synthesis import SyntheticSequence, textures, toys
 from threedvc.synthesis.motion import harmonics, look_at
 from threedvc.synthesis.scene import Body, Light, Scene

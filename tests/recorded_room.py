@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
-from threedvc.pose import Pose, make_pose, quaternion, rotation_from_vector
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, make_pose, quaternion, rotation_from_vector
 
 WALLS = np.array([[-2.0, -1.5, -2.0], [2.0, 1.5, 2.5]])
 SMALL = Camera(width=64, height=48, fx=60.0, fy=61.0, cx=31.0, cy=24.5)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reference_fusion import ray_sum
-from threedvc.camera import Camera
-from threedvc.entropy_field import EntropyField
-from threedvc.fusion import confidence_of, free_space_log_odds
-from threedvc.pose import Pose, inverse
-from threedvc.sensor_model import SensorModel
+from threedvc.encoder.fusion.integration import confidence_of, free_space_log_odds
+from threedvc.frames.sensor_model import SensorModel
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, inverse
+from threedvc.view_planning.occupancy_field import EntropyField
 
 __all__ = ["best_looks", "flooded", "observed"]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
-from threedvc.pose import Pose, inverse
-from threedvc.registration import ModelView
+from threedvc.encoder.tracking.registration import ModelView
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, inverse
 
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]

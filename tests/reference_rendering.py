@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.pose import Pose, inverse
+from threedvc.geometry.pose import Pose, inverse
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
 
 __all__ = ["first_occupied", "model_of_cells", "model_of_shape", "surface_cells"]
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.geometry.pose import Pose, inverse
 from threedvc.kernels import synthesis as kernels
-from threedvc.pose import Pose, inverse
 from threedvc.synthesis.scene import Scene
 from threedvc.synthesis.shapes import Part, Shape
 

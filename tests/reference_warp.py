@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
-from threedvc.frame import Frame
-from threedvc.pose import Pose, inverse
+from threedvc.frames.frame import Frame
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, inverse
 
 
 def transformed(pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,18 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.coding.color import ColorSettings
 from threedvc.coding.gains import apply_gain
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import RenderConfig
-from threedvc.decoder import Decoder, models_digest
+from threedvc.decoder.decoder import Decoder, models_digest
+from threedvc.decoder.sensor_state import rig_of
 from threedvc.formats.container import StreamReader, StreamWriter
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.packets import (
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, make_pose
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.stream.frame_report import FrameReport, report_packet
+from threedvc.stream.packets import (
     BatchHeader,
     EndHeader,
     ModelHeader,
@@ -34,10 +38,6 @@ from threedvc.packets import (
     StreamHeader,
     pack_batch,
 )
-from threedvc.pose import Pose, make_pose
-from threedvc.rendering import Renderer, RenderModel
-from threedvc.report import FrameReport, report_packet
-from threedvc.sensor_state import rig_of
 
 __all__ = [
     "FRAMES",

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from streams import ListSequence
-from threedvc.frame import Frame
-from threedvc.pose import Pose, make_pose
+from threedvc.frames.frame import Frame
+from threedvc.geometry.pose import Pose, make_pose
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 __all__ = ["wobbling"]

@@ -27,10 +27,10 @@ from threedvc.errors import (
 
 if TYPE_CHECKING:
     from threedvc.config import EncoderConfig, ExplorationConfig, RenderConfig
-    from threedvc.formats.api import decode, encode, open_stream
-    from threedvc.formats.exploration import explore
+    from threedvc.formats.decoding import decode, encode, open_stream
+    from threedvc.formats.evaluation.statistics import statistics
     from threedvc.formats.sources import open_sensors, open_sequence
-    from threedvc.formats.statistics import statistics
+    from threedvc.formats.view_planning import explore
 
 __all__ = [
     "BadMagic",
@@ -61,13 +61,13 @@ _HOMES = {
     "EncoderConfig": "threedvc.config",
     "ExplorationConfig": "threedvc.config",
     "RenderConfig": "threedvc.config",
-    "decode": "threedvc.formats.api",
-    "encode": "threedvc.formats.api",
-    "explore": "threedvc.formats.exploration",
+    "decode": "threedvc.formats.decoding",
+    "encode": "threedvc.formats.decoding",
+    "explore": "threedvc.formats.view_planning",
     "open_sensors": "threedvc.formats.sources",
     "open_sequence": "threedvc.formats.sources",
-    "open_stream": "threedvc.formats.api",
-    "statistics": "threedvc.formats.statistics",
+    "open_stream": "threedvc.formats.decoding",
+    "statistics": "threedvc.formats.evaluation.statistics",
 }
 
 

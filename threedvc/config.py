@@ -55,7 +55,7 @@ class Motion(StrEnum):
 
 
 class DepthVideo(StrEnum):
-    """Whether a file carries a video of depth that the models do not tell, see `threedvc.depth_video`.
+    """Whether a file carries a video of depth that the models do not tell, see `threedvc.render.captured_depth`.
 
     AUTO: if the stream gains more by it than it costs; the preset FAST has none. ON: as far as the rate leaves room.
     A live stream cannot have one.
@@ -67,7 +67,7 @@ class DepthVideo(StrEnum):
 
 
 class Sensor(StrEnum):
-    """Noise of the depth sensor, see `threedvc.sensor_model`."""
+    """Noise of the depth sensor, see `threedvc.frames.sensor_model`."""
 
     AUTO = "auto"
     IDEAL = "ideal"

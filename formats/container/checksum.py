@@ -2,7 +2,7 @@
 """CRC-32C (Castagnoli), the checksum of packets.
 
 Short data take a plain loop, so that the head of a file can be checked without loading a compiler;
-from `KERNEL_BYTES` on the compiled loop of `threedvc.kernels.checksum` pays.
+from `KERNEL_BYTES` on the compiled loop of `threedvc.kernels.coding.checksum` pays.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def crc32c(data: bytes) -> int:
 
 
 def _crc32c_compiled(data: bytes) -> int:
-    from threedvc.kernels.checksum import update_crc32c
+    from threedvc.kernels.coding.checksum import update_crc32c
 
     return int(update_crc32c(0xFFFFFFFF, np.frombuffer(data, dtype=np.uint8), _kernel_table())) ^ 0xFFFFFFFF
 

@@ -11,8 +11,8 @@ from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.formats.container.checksum import crc32c
 from threedvc.formats.container.layout import CODEC_SHIFT, CRC, Codec, PacketHead, pack_packet_head
 from threedvc.limits import MAX_EXPANSION, MAX_PAYLOAD_BYTES
-from threedvc.packets import Packet, PacketFlag, PacketType, type_name
-from threedvc.wire import pack_map, unpack_map
+from threedvc.stream.packets import Packet, PacketFlag, PacketType, type_name
+from threedvc.stream.wire import pack_map, unpack_map
 
 __all__ = ["pack_packet", "unpack_body"]
 

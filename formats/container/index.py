@@ -21,8 +21,8 @@ from threedvc.formats.container.layout import (
 )
 from threedvc.formats.container.source import ByteSource
 from threedvc.limits import MAX_INDEX_ENTRIES
-from threedvc.packets import Packet, PacketType, type_name
-from threedvc.wire import ByteReader, pack_varint
+from threedvc.stream.packets import Packet, PacketType, type_name
+from threedvc.stream.wire import ByteReader, pack_varint
 
 __all__ = ["IndexEntry", "StreamIndex", "pack_index", "read_index", "unpack_index"]
 

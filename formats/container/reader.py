@@ -19,7 +19,7 @@ from threedvc.formats.container.layout import (
     unpack_packet_head,
 )
 from threedvc.formats.container.source import CHUNK_BYTES, ByteSource
-from threedvc.packets import (
+from threedvc.stream.packets import (
     BatchHeader,
     Packet,
     PacketFlag,

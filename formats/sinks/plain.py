@@ -26,16 +26,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
 from threedvc.errors import ConfigError, OutputError, SequenceError, ThreedvcError
 from threedvc.formats.outputs import locked_folder
 from threedvc.formats.sinks.poses import pose_lines
 from threedvc.formats.sources.association import PICTURE_SUFFIXES
-from threedvc.formats.sources.text import read_json
-from threedvc.formats.sources.timestamps import regular_stamp
-from threedvc.frame import Frame, SequenceInfo
+from threedvc.formats.sources.files.text import read_json
+from threedvc.formats.sources.files.timestamps import regular_stamp
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, inverse
 from threedvc.parallel import default_threads
-from threedvc.pose import Pose, inverse
 
 __all__ = ["DECODE", "PARTS", "SYNTH", "PlainSink", "sensor_folder"]
 

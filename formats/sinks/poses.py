@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from threedvc.pose import Pose, quaternion
+from threedvc.geometry.pose import Pose, quaternion
 
 __all__ = ["pose_lines"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Readers of RGB-D recordings: one file per layout, all turned into `threedvc.frame.Frame`."""
+"""Readers of RGB-D recordings: one file per layout, all turned into `threedvc.frames.frame.Frame`."""
 
 from __future__ import annotations
 

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from threedvc.formats.sources.intrinsics import CameraFile
-from threedvc.formats.sources.masks import unread_masks
+from threedvc.formats.sources.files.intrinsics import CameraFile
+from threedvc.formats.sources.files.masks import unread_masks
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording, SourceOptions
-from threedvc.input_options import InputOptions
+from threedvc.stream.input_options import InputOptions
 
 __all__ = ["assemble"]
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
+from threedvc.geometry.camera import Camera, CameraRig
 
 __all__ = ["check_camera", "check_rig", "doubts_of", "matrix_parameters"]
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
-from threedvc.formats.sources.intrinsics import MAX_FPS, MIN_FPS
+from threedvc.formats.sources.files.intrinsics import MAX_FPS, MIN_FPS
 from threedvc.formats.sources.recording import KnownCameras, Recording, SourceOptions
 from threedvc.formats.sources.registry import AUTO, find_layout
 from threedvc.formats.sources.sequence import FolderSequence
-from threedvc.input_options import InputOptions
-from threedvc.pose_readings import AS_GIVEN, PoseReading, pose_reading
+from threedvc.geometry.pose_readings import AS_GIVEN, PoseReading, pose_reading
+from threedvc.stream.input_options import InputOptions
 
 __all__ = ["FrameRange", "open_sequence", "require_folder"]
 
@@ -53,7 +53,7 @@ def open_sequence(
         Nominal frame rate; a layout with a clock of its own keeps its stamps.
     poses
         What the camera poses of the recording are to be taken for: ``as-given``, ``inverted``, ``opengl`` or others of
-        `threedvc.pose_readings`, several joined by ``+``.
+        `threedvc.geometry.pose_readings`, several joined by ``+``.
     max_depth_m
         Depth beyond this many metres is no measurement.
     frames

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from threedvc.camera import CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
-from threedvc.input_options import InputOptions
-from threedvc.pose import Pose
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose
+from threedvc.stream.input_options import InputOptions
 
 __all__ = [
     "DEFAULT_FPS",
@@ -47,7 +47,7 @@ class SourceOptions:
     fps
         Nominal frame rate.
     poses
-        What the camera poses are to be taken for, see `threedvc.pose_readings`.
+        What the camera poses are to be taken for, see `threedvc.geometry.pose_readings`.
     known
         Cameras for a recording that tells none.
     """
@@ -75,7 +75,7 @@ class KnownCameras:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameFiles:
-    """The files and the known facts of one frame; the names are those of `threedvc.frame.Frame`.
+    """The files and the known facts of one frame; the names are those of `threedvc.frames.frame.Frame`.
 
     Where each object has a mask of its own, `object_masks` names them by label.
     """

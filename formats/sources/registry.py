@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
-from threedvc.formats.sources import bare, flat, icl_nuim, plain, redwood, seven_scenes, tum
+from threedvc.formats.sources.layouts import bare, flat, icl_nuim, plain, redwood, seven_scenes, tum
 from threedvc.formats.sources.recording import Layout, SourceOptions
 
 __all__ = ["AUTO", "LAYOUTS", "find_layout", "layout_names"]

@@ -13,17 +13,17 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.depth_checks import NO_MEASUREMENT, check_depth
-from threedvc.formats.sources.images import PictureHeader, read_color, read_depth, read_header, read_mask
-from threedvc.formats.sources.intrinsics import REMEDY
-from threedvc.formats.sources.masks import check_masks, merged_labels
+from threedvc.formats.sources.files.images import PictureHeader, read_color, read_depth, read_header, read_mask
+from threedvc.formats.sources.files.intrinsics import REMEDY
+from threedvc.formats.sources.files.masks import check_masks, merged_labels
+from threedvc.formats.sources.files.timestamps import check_intervals
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording
-from threedvc.formats.sources.timestamps import check_intervals
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.pose import Pose
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose
 
 __all__ = ["FolderSequence"]
 

@@ -11,14 +11,14 @@ from typing import TypeVar
 import numpy as np
 
 from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.sources.files.poses import pose_from_numbers, read_matrix, rigid_poses
+from threedvc.formats.sources.files.text import read_json_value
 from threedvc.formats.sources.opening import FrameRange, open_sequence
-from threedvc.formats.sources.poses import pose_from_numbers, read_matrix, rigid_poses
 from threedvc.formats.sources.registry import AUTO
 from threedvc.formats.sources.sequence import FolderSequence
-from threedvc.formats.sources.text import read_json_value
-from threedvc.frame import NANOSECONDS
-from threedvc.merging import MergedSequence
-from threedvc.pose import Pose, inverse
+from threedvc.frames.frame import NANOSECONDS
+from threedvc.frames.multi_sensor import MergedSequence
+from threedvc.geometry.pose import Pose, inverse
 
 __all__ = ["open_sensors", "read_extrinsic"]
 

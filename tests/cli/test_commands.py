@@ -26,9 +26,9 @@ from threedvc.cli.main import main
 from threedvc.cli.options import LAYOUTS
 from threedvc.config import Motion, SegmentationMode, Sensor
 from threedvc.errors import OutputError, RegistrationFailed
-from threedvc.formats import api
-from threedvc.formats import statistics as statistics_module
+from threedvc.formats import decoding as api
 from threedvc.formats.container.layout import SYNC
+from threedvc.formats.evaluation import statistics as statistics_module
 from threedvc.formats.sinks import PlainSink
 from threedvc.formats.sources import layout_names, open_sequence
 from threedvc.formats.sources.notices import Notice

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from threedvc.cli.main import main
-from threedvc.formats import api
+from threedvc.formats import decoding as api
 
 PROGRAM = [sys.executable, "-c", "from threedvc.cli.main import main; main()"]
 PATIENCE_S = 120

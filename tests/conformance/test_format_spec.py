@@ -15,13 +15,13 @@ import pytest
 
 from container_streams import DIGEST, records, stream_header, stream_of
 from threedvc import errors, limits
-from threedvc.decoder import models_digest
+from threedvc.decoder.decoder import models_digest
 from threedvc.formats.container import layout
 from threedvc.formats.container.framing import COMPRESSED_TYPES
-from threedvc.header_kinds import Kind
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.packets import (
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.stream.header_fields import Kind
+from threedvc.stream.packets import (
     DIGEST_BYTES,
     RESERVED_TYPES,
     TOP_LEVEL_TYPES,
@@ -35,7 +35,7 @@ from threedvc.packets import (
     is_understood,
     pack_batch,
 )
-from threedvc.wire import pack_varint
+from threedvc.stream.wire import pack_varint
 
 Rows = list[dict[str, str]]
 

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
 from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update, morton_order
+from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths
 from threedvc.coding.filters import MAX_FACTOR, decode_filter
 from threedvc.coding.relief import decode_relief, encode_relief
-from threedvc.depth_cells import spread
 from threedvc.errors import FormatError
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.pose import identity
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import identity
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)

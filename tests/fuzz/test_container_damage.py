@@ -15,8 +15,8 @@ from container_streams import end, packets, raw_packet, records, small_stream, s
 from threedvc.errors import FormatError, ThreedvcError, TruncatedStream
 from threedvc.formats.container import StreamReader, read_index
 from threedvc.formats.container.layout import pack_file_head
-from threedvc.packets import BatchHeader, Packet, PacketType, pack_batch, split_batch, unpack_batch
-from threedvc.wire import pack_map, unpack_map
+from threedvc.stream.packets import BatchHeader, Packet, PacketType, pack_batch, split_batch, unpack_batch
+from threedvc.stream.wire import pack_map, unpack_map
 
 DATA = small_stream()
 COMPLETE = list(StreamReader(io.BytesIO(DATA), "k.3dvc"))

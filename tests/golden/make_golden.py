@@ -15,7 +15,7 @@ from typing import Any
 
 import threedvc
 from threedvc.config import AppearanceConfig, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
-from threedvc.formats.api import DecodedFrame
+from threedvc.formats.decoding import DecodedFrame
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 __all__ = ["FOLDER", "expectation", "main", "streams"]

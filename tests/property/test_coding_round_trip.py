@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update_with_result, morton_order
 from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths, grid_shape
-from threedvc.model_update import ModelUpdate
-from threedvc.pose import make_pose, rotation_from_vector
+from threedvc.geometry.pose import make_pose, rotation_from_vector
+from threedvc.model.model_update import ModelUpdate
 
 Cells = NDArray[np.int32]
 

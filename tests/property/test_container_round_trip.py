@@ -13,7 +13,7 @@ from container_streams import end, records, stream_header, stream_of
 from threedvc.formats.container import IndexEntry, StreamReader
 from threedvc.formats.container.index import pack_index, unpack_index
 from threedvc.limits import MAX_COUNT, MAX_FRAME, MAX_OBJECT_ID
-from threedvc.packets import (
+from threedvc.stream.packets import (
     BatchHeader,
     ModelHeader,
     ObjectHeader,
@@ -23,7 +23,7 @@ from threedvc.packets import (
     pack_batch,
     unpack_batch,
 )
-from threedvc.wire import ByteReader, pack_map, pack_varint, unpack_map
+from threedvc.stream.wire import ByteReader, pack_map, pack_varint, unpack_map
 
 numbers = st.integers(-(1 << 63), (1 << 64) - 1)
 scalars = st.one_of(

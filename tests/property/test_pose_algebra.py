@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.pose import (
+from threedvc.geometry.pose import (
     Pose,
     compose,
     identity,

@@ -16,13 +16,13 @@ import threedvc
 from streams import ListSequence, packed_stream
 from threedvc.config import EncoderConfig, Motion, RenderConfig, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.errors import ConfigError, CorruptStream, FormatError, OutputError, SequenceError, TruncatedStream
-from threedvc.formats.api import DecodedFrame, decode, encode, open_stream
 from threedvc.formats.container import StreamReader
-from threedvc.frame import Frame
-from threedvc.metrics import psnr
-from threedvc.packets import BatchHeader, PacketType
-from threedvc.pose import compose, identity, make_pose, rotation_from_vector
-from threedvc.report import FrameReport
+from threedvc.formats.decoding import DecodedFrame, decode, encode, open_stream
+from threedvc.frames.frame import Frame
+from threedvc.geometry.pose import compose, identity, make_pose, rotation_from_vector
+from threedvc.metrics.picture_quality import psnr
+from threedvc.stream.frame_report import FrameReport
+from threedvc.stream.packets import BatchHeader, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES = 8

@@ -11,7 +11,7 @@ import pytest
 import av1
 from av1 import MissingCodec, VideoCodec
 from planes import InverseDepth
-from threedvc.metrics import psnr
+from threedvc.metrics.picture_quality import psnr
 
 WIDTH, HEIGHT, FRAMES = 96, 70, 4
 

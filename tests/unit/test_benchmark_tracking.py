@@ -11,8 +11,8 @@ import pytest
 import tracking
 from streams import gradient_frame
 from threedvc.cli.main import main as command
-from threedvc.frame import Frame
-from threedvc.pose import identity, make_pose
+from threedvc.frames.frame import Frame
+from threedvc.geometry.pose import identity, make_pose
 from tracking import DISTURBANCES, Course
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex, morton_keys
 from threedvc.errors import LimitExceeded
+from threedvc.model.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex, morton_keys
 
 FARTHEST = (1 << 17) - 1
 

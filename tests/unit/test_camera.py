@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import ConfigError
-from threedvc.pose import identity, make_pose, rotation_from_vector
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import identity, make_pose, rotation_from_vector
 
 PLAIN = Camera(width=640, height=480, fx=525.0, fy=520.0, cx=319.5, cy=239.5)
 # Published calibrations of hand-held depth cameras bend pictures by as much as this.

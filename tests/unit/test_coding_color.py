@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from reference_coding import orthonormal_energy
 from threedvc.coding.color import ColorSettings, code_cell_colors
+from threedvc.coding.entropy.range_coder import RangeReader, RangeWriter
 from threedvc.coding.morton import morton_codes
 from threedvc.coding.octree import Octree
-from threedvc.coding.range_coder import RangeReader, RangeWriter
 from threedvc.errors import ConfigError, CorruptStream
-from threedvc.kernels.color_transform import (
+from threedvc.kernels.coding.color_transform import (
     FRACTION_BITS,
     from_luma_chroma,
     integer_root,

@@ -8,13 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_coding import Cell, around, morton_code, nodes_at
+from threedvc.coding.entropy.range_coder import RangeReader, RangeWriter
 from threedvc.coding.geometry import code_new_cells, code_subset
 from threedvc.coding.geometry_prior import geometry_prior
 from threedvc.coding.morton import cells_of_codes, morton_codes
 from threedvc.coding.octree import Octree, TreeWalk
-from threedvc.coding.range_coder import RangeReader, RangeWriter
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.kernels.geometry_prior import FEATURES, HEIGHTS, list_features, prior_log_odds
+from threedvc.kernels.coding.geometry_prior import FEATURES, HEIGHTS, list_features, prior_log_odds
 
 DEPTH = 5
 

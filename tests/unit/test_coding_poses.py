@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from reference_coding import quaternion_matrix
 from threedvc.coding.poses import PoseCoder
 from threedvc.errors import CorruptStream
-from threedvc.kernels.pose_coding import multiply, predict_pose, rotate
-from threedvc.pose import is_rigid, make_pose, rotation_angle, rotation_from_vector
+from threedvc.geometry.pose import is_rigid, make_pose, rotation_angle, rotation_from_vector
+from threedvc.kernels.coding.pose_coding import multiply, predict_pose, rotate
 
 STEPS = 0.0005, 0.00025
 

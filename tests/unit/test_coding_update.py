@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding import ColorSettings, decode_update, encode_update, encode_update_with_result, morton_order
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.model_update import ModelUpdate
+from threedvc.model.model_update import ModelUpdate
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)

@@ -16,7 +16,7 @@ from container_streams import end, packets, small_stream
 from threedvc.errors import ConfigError, FormatError, OutputError
 from threedvc.formats.container import StreamWriter, open_input, open_output
 from threedvc.formats.outputs import locked_folder
-from threedvc.packets import Packet
+from threedvc.stream.packets import Packet
 
 OLDER = small_stream()[:-1]
 

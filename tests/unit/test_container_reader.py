@@ -14,8 +14,8 @@ from container_streams import batch, end, packets, raw_packet, records, small_st
 from threedvc.errors import BadMagic, CorruptStream, FormatError, LimitExceeded, TruncatedStream, UnsupportedVersion
 from threedvc.formats.container import FILE_HEAD_BYTES, SkippedRange, StreamReader
 from threedvc.formats.container.layout import PACKET_HEAD, SYNC, pack_file_head
-from threedvc.packets import BatchHeader, EndHeader, ModelHeader, Packet, PacketType, unpack_batch
-from threedvc.wire import pack_map
+from threedvc.stream.packets import BatchHeader, EndHeader, ModelHeader, Packet, PacketType, unpack_batch
+from threedvc.stream.wire import pack_map
 
 STREAM = raw_packet(1, header=pack_map(stream_header().to_map()))
 

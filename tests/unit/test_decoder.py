@@ -14,16 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
 from threedvc.coding.color import ColorSettings
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
-from threedvc.decoder import Decoder, FrameState, camera_poses, models_digest
+from threedvc.decoder.decoder import Decoder, FrameState, camera_poses, models_digest
+from threedvc.decoder.sensor_state import nearest_multiple, rig_of
 from threedvc.errors import CorruptStream, FormatError, LimitExceeded, TruncatedStream, UnsupportedVersion
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_from_vector
 from threedvc.limits import MAX_COUNT, MAX_FRAME
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.packets import (
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.stream.frame_report import FrameReport, report_packet
+from threedvc.stream.packets import (
     BatchHeader,
     ClockHeader,
     EndHeader,
@@ -34,10 +37,7 @@ from threedvc.packets import (
     StreamHeader,
     pack_batch,
 )
-from threedvc.pose import Pose, compose, inverse, make_pose, rotation_from_vector
-from threedvc.report import FrameReport, report_packet
-from threedvc.sensor_state import nearest_multiple, rig_of
-from threedvc.wire import pack_signed_varint
+from threedvc.stream.wire import pack_signed_varint
 
 STEP = 0.001
 STREAM = StreamHeader(
@@ -202,7 +202,7 @@ def test_the_report_is_gathered_wherever_it_stands() -> None:
 
 
 def test_an_unbounded_report_keeps_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("threedvc.decoder.MAX_COUNT", 5)
+    monkeypatch.setattr("threedvc.decoder.decoder.MAX_COUNT", 5)
     told = [FrameReport(index=k, timestamp_ns=k, status="known", entropy_bits=2.0**k) for k in range(4)]
     decoder = decoded(*[report_packet(told)] * 3, Author().end(0))
     assert decoder.report.entropy_bits == (1, 2, 4, 8, 1)

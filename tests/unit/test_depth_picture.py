@@ -9,16 +9,18 @@ from numpy.typing import NDArray
 
 from reference_coding import ExactCoder, ExactCounter, write_number
 from reference_depths import DepthLayer, DepthWriter
-from threedvc.background_depths import DepthChoice, best_depths, measured_depths
-from threedvc.camera import Camera, CameraRig
+from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import DepthPicture, DepthSteps, decode_depths, encode_depths, grid_shape
 from threedvc.coding.poses import PoseCoder
 from threedvc.config import RenderConfig
-from threedvc.decoder import Decoder, models_digest
-from threedvc.depth_cells import spread
+from threedvc.decoder.decoder import Decoder, models_digest
+from threedvc.encoder.appearance.background_depth import DepthChoice, best_depths, measured_depths
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.object_model import DecodedModel
-from threedvc.packets import (
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.stream.packets import (
     BatchHeader,
     DepthHeader,
     EndHeader,
@@ -28,8 +30,6 @@ from threedvc.packets import (
     StreamHeader,
     pack_batch,
 )
-from threedvc.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.rendering import Renderer, RenderModel
 
 CAMERA = Camera(width=48, height=36, fx=40.0, fy=42.0, cx=23.5, cy=17.5)
 SCALE_BITS = 14

@@ -11,19 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 import threedvc
-import threedvc.encoder as encoder_module
+import threedvc.encoder.pipeline.encoder as encoder_module
 from streams import ListSequence
-from threedvc import video_choice
 from threedvc.coding import picture_sequence
 from threedvc.coding.picture_sequence import can_encode_sequences, encode_sequence
 from threedvc.config import DepthVideo, EncoderConfig, Motion, RenderConfig
-from threedvc.decoder import Decoder
-from threedvc.depth_video import EDGE, FilmedDepth, depth_levels
-from threedvc.encoder import Encoder, verified
+from threedvc.decoder.decoder import Decoder
+from threedvc.encoder.packetizer import depth_video as video_choice
+from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, UnsupportedVersion
-from threedvc.merging import MergedSequence
-from threedvc.packets import BatchHeader, Packet, PacketType, VideoHeader, pack_batch, unpack_batch
-from threedvc.rate_control import stream_bytes
+from threedvc.frames.multi_sensor import MergedSequence
+from threedvc.render.captured_depth import EDGE, FilmedDepth, depth_levels
+from threedvc.stream.packets import BatchHeader, Packet, PacketType, VideoHeader, pack_batch, unpack_batch
 from threedvc.synthesis import SyntheticSequence, make_scene
 from wobbling_room import wobbling
 

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
-from threedvc.decoder import Decoder
-from threedvc.division import NOTHING, Division
-from threedvc.encoder import Encoder
-from threedvc.frame import Frame, FrameSequence, SequenceInfo
-from threedvc.motion import UNSEEN
-from threedvc.motion_segmentation import Reduction
-from threedvc.packets import Packet
-from threedvc.pose import inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.scene import Scene
+from threedvc.decoder.decoder import Decoder
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.segmentation.motion_segmenter import Reduction
+from threedvc.encoder.segmentation.sequence_labels import NOTHING, Division
+from threedvc.encoder.tracking.tracker import UNSEEN
+from threedvc.frames.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.stream.packets import Packet
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 CONFIG = EncoderConfig(

@@ -12,17 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import EncoderConfig, PoseConfig
-from threedvc.decoder import Decoder, FrameState
-from threedvc.emitter import Emitter
-from threedvc.frame import SequenceInfo
-from threedvc.object_model import EvidenceModel
-from threedvc.packets import BatchHeader, ClockHeader, ObjectHeader, Packet, PacketType, PoseHeader, unpack_batch
-from threedvc.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.report import FrameReport
-from threedvc.scene import Scene
+from threedvc.decoder.decoder import Decoder, FrameState
+from threedvc.encoder.packetizer.packetizer import Emitter
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.frame import SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.model.decoded_model import EvidenceModel
+from threedvc.stream.frame_report import FrameReport
+from threedvc.stream.packets import BatchHeader, ClockHeader, ObjectHeader, Packet, PacketType, PoseHeader, unpack_batch
 
 RIG = CameraRig.registered_to(Camera(width=8, height=6, fx=10, fy=10, cx=3.5, cy=2.5))
 INFO = SequenceInfo(name="script", rig=RIG, depth_scale=1000.0, fps=30.0, frame_count=None)
@@ -236,8 +236,8 @@ def test_a_regular_clock_costs_nothing() -> None:
 
 
 def test_an_endless_rest_is_broken_in_time_for_readers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("threedvc.emitter.MAX_REST", 20)
-    monkeypatch.setattr("threedvc.decoder.MAX_COUNT", 40)
+    monkeypatch.setattr("threedvc.encoder.packetizer.packetizer.MAX_REST", 20)
+    monkeypatch.setattr("threedvc.decoder.decoder.MAX_COUNT", 40)
     packets = emitted(scene_of({0: still(200)}), 5)
     assert len(decoded(packets)) == 200
     empty = [packet for packet in packets if packet.type == PacketType.BATCH and not packet.payload]

@@ -12,13 +12,18 @@ import numpy as np
 import pytest
 
 from streams import ListSequence
-from threedvc.camera import CameraRig
 from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.decoder import Decoder, FrameState, models_digest
-from threedvc.encoder import Encoder, verified
+from threedvc.decoder.decoder import Decoder, FrameState, models_digest
+from threedvc.decoder.sensor_state import nearest_multiple
+from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
-from threedvc.frame import Frame
-from threedvc.packets import (
+from threedvc.frames.frame import Frame
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle
+from threedvc.stream.frame_report import FrameReport
+from threedvc.stream.packets import (
     BatchHeader,
     EndHeader,
     ModelHeader,
@@ -28,11 +33,6 @@ from threedvc.packets import (
     StreamHeader,
     unpack_batch,
 )
-from threedvc.pose import compose, inverse, make_pose, rotation_angle
-from threedvc.rate_control import stream_bytes
-from threedvc.readout import read_surface
-from threedvc.report import FrameReport
-from threedvc.sensor_state import nearest_multiple
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from reference_exploration import observed
-from threedvc.camera import Camera
 from threedvc.config import Sensor
-from threedvc.entropy_field import MAX_CELLS, EntropyField, widened
-from threedvc.fusion import free_space_log_odds
-from threedvc.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.sensor_model import SENSORS
+from threedvc.encoder.fusion.integration import free_space_log_odds
+from threedvc.frames.sensor_model import SENSORS
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
+from threedvc.view_planning.occupancy_field import MAX_CELLS, EntropyField, widened
 
 CAMERA = Camera(width=24, height=18, fx=20.0, fy=21.0, cx=11.0, cy=9.0)
 KINECT = SENSORS[Sensor.KINECT1]

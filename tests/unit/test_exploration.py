@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from reference_exploration import best_looks
 from streams import FRAMES, INFO, ListSequence, gradient_frame, packed_stream, toy_pose
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import (
     AppearanceConfig,
     EncoderConfig,
@@ -24,18 +23,19 @@ from threedvc.config import (
     SegmentationMode,
     Sensor,
 )
-from threedvc.decoder import Decoder, FrameState
-from threedvc.entropy_field import EntropyField
+from threedvc.decoder.decoder import Decoder, FrameState
 from threedvc.errors import ConfigError, SequenceError
-from threedvc.exploration import Sight, Target, draw_frames, propose, targets_of, thinned
-from threedvc.formats.api import encode
 from threedvc.formats.container import StreamReader
-from threedvc.formats.exploration import explore
-from threedvc.frame import FrameSequence
-from threedvc.kernels.exploration import look_at_cells
-from threedvc.pose import compose, identity, inverse, make_pose, rotation_from_vector
-from threedvc.sensor_model import SENSORS
+from threedvc.formats.decoding import encode
+from threedvc.formats.view_planning import explore
+from threedvc.frames.frame import FrameSequence
+from threedvc.frames.sensor_model import SENSORS
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import compose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.kernels.encoder.exploration import look_at_cells
 from threedvc.synthesis import SyntheticSequence, make_scene
+from threedvc.view_planning.occupancy_field import EntropyField
+from threedvc.view_planning.targets import Sight, Target, draw_frames, propose, targets_of, thinned
 
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
 KINECT = SENSORS[Sensor.KINECT1]

@@ -10,15 +10,15 @@ import pytest
 
 from recorded_room import color_picture, depth_picture, poses
 from streams import ListSequence, drawn
-from threedvc.camera import Camera, CameraRig
 from threedvc.coding.gains import NEUTRAL, apply_gain
 from threedvc.config import EncoderConfig, Motion, Sensor
-from threedvc.encoder import Encoder
-from threedvc.exposure import with_gain
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.fusion import observe
-from threedvc.packets import PacketType, unpack_batch
-from threedvc.scene import Scene
+from threedvc.encoder.fusion.exposure import with_gain
+from threedvc.encoder.fusion.integration import observe
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.stream.packets import PacketType, unpack_batch
 
 CAMERA = Camera(width=120, height=90, fx=110.0, fy=110.0, cx=59.5, cy=44.5)
 INFO = SequenceInfo(

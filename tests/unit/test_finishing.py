@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 
 from streams import ListSequence, drawn
-from threedvc.appearance import LUMA, Sampler, aligned_shift
 from threedvc.coding.picture import can_encode_pictures
 from threedvc.config import (
     AppearanceConfig,
@@ -28,16 +27,17 @@ from threedvc.config import (
     with_preset,
     with_quality,
 )
-from threedvc.decoder import Decoder
-from threedvc.encoder import Encoder
-from threedvc.finishing import finish
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.sensor_state import rig_of
+from threedvc.encoder.appearance.appearance_fit import finish
+from threedvc.encoder.appearance.color_field import LUMA, Sampler, aligned_shift
+from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.formats.container import StreamWriter
-from threedvc.packets import Packet, PacketType, type_name, unpack_batch
-from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.rate_control import stream_bytes
-from threedvc.readout import read_surface
-from threedvc.rendering import Renderer, RenderModel
-from threedvc.sensor_state import rig_of
+from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.stream.packets import Packet, PacketType, type_name, unpack_batch
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)

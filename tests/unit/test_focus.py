@@ -20,12 +20,12 @@ from threedvc.config import (
     Sensor,
     with_preset,
 )
-from threedvc.encoder import Encoder
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.rate.rate_control import stream_bytes
+from threedvc.encoder.rate.region_of_interest import finer, focus_weights, focused
 from threedvc.errors import ConfigError
-from threedvc.focus import finer, focus_weights, focused
-from threedvc.model_update import ModelUpdate
-from threedvc.packets import Packet
-from threedvc.rate_control import stream_bytes
+from threedvc.model.model_update import ModelUpdate
+from threedvc.stream.packets import Packet
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 CELLS = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 5, 0]], dtype=np.int32)

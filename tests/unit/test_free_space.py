@@ -6,12 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threedvc.camera import Camera
 from threedvc.config import Sensor
-from threedvc.free_space import Memory
-from threedvc.kernels.free_space import connect_surfaces, spread_labels
-from threedvc.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.sensor_model import SENSORS
+from threedvc.encoder.segmentation.free_space import Memory
+from threedvc.frames.sensor_model import SENSORS
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
+from threedvc.kernels.encoder.free_space import connect_surfaces, spread_labels
 
 CAMERA = Camera(width=32, height=24, fx=40.0, fy=40.0, cx=15.5, cy=11.5)
 ALL = np.ones((24, 32), dtype=np.bool_)

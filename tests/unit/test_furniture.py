@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode
-from threedvc.encoder import Encoder
-from threedvc.motion import UNSEEN, Located, along_with_the_room
-from threedvc.pose import compose, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.scene import Scene
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.tracking.tracker import UNSEEN, Located, along_with_the_room
+from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES, SIZE, RADIUS_M = 16, (96, 72), 0.45

@@ -11,13 +11,21 @@ import pytest
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion
+from threedvc.encoder.tracking.given_poses import PoseAgreement, measure_agreement
+from threedvc.encoder.tracking.pose_completion import complete_poses
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.formats.pose_check import settle_poses
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.given_poses import PoseAgreement, measure_agreement
-from threedvc.pose import Pose, compose, inverse, make_pose, quaternion, rotation_angle, rotation_from_quaternion
-from threedvc.pose_completion import complete_poses
-from threedvc.pose_readings import pose_reading, reading_names
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.pose import (
+    Pose,
+    compose,
+    inverse,
+    make_pose,
+    quaternion,
+    rotation_angle,
+    rotation_from_quaternion,
+)
+from threedvc.geometry.pose_readings import pose_reading, reading_names
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 COUNT = 20

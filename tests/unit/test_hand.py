@@ -12,9 +12,9 @@ import pytest
 from hand_scene import BALL, BOX, pushing
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
-from threedvc.decoder import Decoder
-from threedvc.division import MOST_LIFE, NOTHING, PASSING_NUMBERS, Division
-from threedvc.encoder import Encoder
+from threedvc.decoder.decoder import Decoder
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.segmentation.sequence_labels import MOST_LIFE, NOTHING, PASSING_NUMBERS, Division
 
 CONFIG = EncoderConfig(
     threads=2, motion=Motion.TRACK, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION), refine=False

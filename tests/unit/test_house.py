@@ -128,11 +128,14 @@ class TestFacade:
 
 class TestImports:
     def test_decoder_side_loads_no_encoder_stage(self) -> None:
-        loaded = run_python("import sys, threedvc.decoder, threedvc.rendering; print(*sys.modules)").split()
+        loaded = run_python(
+            "import sys, threedvc.decoder.decoder, threedvc.render.renderer; print(*sys.modules)"
+        ).split()
         layers = PYPROJECT["tool"]["importlinter"]["contracts"][0]["layers"]
         above = [name.strip() for layer in layers[: layers.index("decoder")] for name in layer.split(":")]
-        assert "fusion" in above
+        assert "encoder" in above
         assert {f"threedvc.{name}" for name in above} & set(loaded) == set()
+        assert [name for name in loaded if name.startswith("threedvc.kernels.encoder")] == []
 
     def test_core_opens_no_file(self) -> None:
         # The decorator of the kernels reads their sources to key its cache of compiled code.

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from recorded_room import SMALL, color_picture, depth_picture, poses, write_lines, write_picture
-from threedvc.color_times import color_times_packet, unpack_color_times
 from threedvc.config import EncoderConfig
 from threedvc.errors import CorruptStream
-from threedvc.formats import api
+from threedvc.formats import decoding as api
+from threedvc.formats.evaluation.statistics import statistics
 from threedvc.formats.sources import open_sequence
-from threedvc.formats.statistics import statistics
-from threedvc.input_options import input_options_packet, unpack_input_options
-from threedvc.packets import Packet, PacketType
+from threedvc.stream.color_times import color_times_packet, unpack_color_times
+from threedvc.stream.input_options import input_options_packet, unpack_input_options
+from threedvc.stream.packets import Packet, PacketType
 
 FRAMES = 4
 SCALE = 2000.0

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threedvc import keyframes as keyframes_module
-from threedvc.keyframes import Keyframes
-from threedvc.pose import Pose, inverse, rotation_angle
+from threedvc.encoder.tracking import relocalisation as keyframes_module
+from threedvc.encoder.tracking.relocalisation import Keyframes
+from threedvc.geometry.pose import Pose, inverse, rotation_angle
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=30, size=(320, 240)))

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from threedvc.config import EncoderConfig, Motion
-from threedvc.encoder import Encoder
+from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.formats.container import StreamWriter
 from threedvc.formats.sources import open_sequence
-from threedvc.packets import PacketType
+from threedvc.stream.packets import PacketType
 
 FRAMES = 70
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from threedvc.config import EncoderConfig, Motion
-from threedvc.frame import Frame
-from threedvc.loop_closure import MAX_KEYFRAMES, closed_loops, corrected, key_numbers
-from threedvc.motion import Located
-from threedvc.pose import Pose, identity, inverse, make_pose, rotation_from_vector
-from threedvc.scene import Scene
+from threedvc.encoder.reconstruction.loop_closure import MAX_KEYFRAMES, closed_loops, corrected, key_numbers
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.tracking.tracker import Located
+from threedvc.frames.frame import Frame
+from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=40, size=(160, 120)))

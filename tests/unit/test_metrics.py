@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from reference_metrics import slow_ssim
-from threedvc.metrics import (
+from threedvc.metrics.picture_quality import (
     MAX_PSNR_DB,
     ColorQuality,
     DepthErrors,

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from threedvc.config import FusionConfig, Motion, Sensor
+from threedvc.encoder.fusion.integration import fuse, observe
+from threedvc.encoder.tracking.model_view import FrameViews, Thinned
+from threedvc.encoder.tracking.tracker import Located, Tracker, known_pose, motion_of
 from threedvc.errors import ConfigError
-from threedvc.evidence_view import FrameViews, Thinned
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.fusion import fuse, observe
-from threedvc.motion import Located, Tracker, known_pose, motion_of
-from threedvc.object_model import EvidenceModel
-from threedvc.pose import compose, identity, inverse, make_pose, rotation_angle
-from threedvc.sensor_model import SENSORS
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sensor_model import SENSORS
+from threedvc.geometry.pose import compose, identity, inverse, make_pose, rotation_angle
+from threedvc.model.decoded_model import EvidenceModel
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=6, size=(96, 72)))

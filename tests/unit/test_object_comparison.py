@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.errors import SequenceError
-from threedvc.formats.api import DecodedFrame
-from threedvc.formats.object_comparison import ObjectComparison, ObjectQuality, matched
-from threedvc.formats.spans import Span
-from threedvc.frame import Frame
-from threedvc.pose import Pose, inverse, make_pose, rotation_from_vector
+from threedvc.formats.decoding import DecodedFrame
+from threedvc.formats.evaluation.frame_ranges import Span
+from threedvc.formats.evaluation.object_comparison import ObjectComparison, ObjectQuality, matched
+from threedvc.frames.frame import Frame
+from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_from_vector
 
 SHAPE = (20, 30)
 Labels = NDArray[np.uint8]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.block_index import BLOCK_CELLS, morton_keys
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel, EvidenceModel
+from threedvc.model.block_index import BLOCK_CELLS, morton_keys
+from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.model_update import ModelUpdate
 
 Cell = tuple[int, int, int]
 

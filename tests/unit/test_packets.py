@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from container_streams import CAMERA, DIGEST, stream_header
-from threedvc import packets
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
-from threedvc.packets import (
+from threedvc.stream import packets
+from threedvc.stream.packets import (
     BatchHeader,
     ClockHeader,
     EndHeader,
@@ -32,7 +32,7 @@ from threedvc.packets import (
     type_name,
     unpack_batch,
 )
-from threedvc.wire import pack_map, unpack_map
+from threedvc.stream.wire import pack_map, unpack_map
 
 EXTRINSIC = (1, 0, 0, 0.025, 0, 0, -1, 0, 0, 1, 0, -0.001)
 HEADERS: list[Header] = [

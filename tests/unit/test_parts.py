@@ -10,12 +10,12 @@ import pytest
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Sensor
-from threedvc.decoder import Decoder
-from threedvc.encoder import Encoder
-from threedvc.frame import Frame
-from threedvc.motion import Located, bridged, joined_parts, pose_between
-from threedvc.pose import Pose, identity, inverse, make_pose
-from threedvc.scene import Scene
+from threedvc.decoder.decoder import Decoder
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.tracking.tracker import Located, bridged, joined_parts, pose_between
+from threedvc.frames.frame import Frame
+from threedvc.geometry.pose import Pose, identity, inverse, make_pose
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=60, size=(160, 120)))

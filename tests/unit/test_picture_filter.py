@@ -12,18 +12,18 @@ import pytest
 from numpy.typing import NDArray
 
 from streams import ListSequence, drawn
+from threedvc.coding.entropy.range_coder import RangeWriter, new_counters
 from threedvc.coding.filters import MAX_FACTOR, decode_filter, encode_filter
-from threedvc.coding.range_coder import RangeWriter, new_counters
 from threedvc.config import EncoderConfig, FilterParts, Motion, Preset, RenderConfig, Sensor, with_preset
-from threedvc.decoder import Decoder
-from threedvc.encoder import Encoder
+from threedvc.decoder.decoder import Decoder
+from threedvc.encoder.packetizer.post_filter_fit import fitted_filter
+from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.errors import CorruptStream
-from threedvc.filtering import fitted_filter
-from threedvc.formats import api
-from threedvc.kernels.entropy import NUMBER_COUNTERS
-from threedvc.kernels.picture_filter import OFFSETS
-from threedvc.packets import BatchHeader, Packet, PacketType, pack_batch, unpack_batch
-from threedvc.picture_filter import KINDS, PAIRS, PictureFilter, kinds_of_pixels
+from threedvc.formats import decoding as api
+from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.render.picture_filter import OFFSETS
+from threedvc.model.post_filter import KINDS, PAIRS, PictureFilter, kinds_of_pixels
+from threedvc.stream.packets import BatchHeader, Packet, PacketType, pack_batch, unpack_batch
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.04)

@@ -14,7 +14,7 @@ from threedvc.coding.picture import avif_file, can_encode_pictures
 from threedvc.coding.picture_sequence import decode_sequence, encode_sequence
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.limits import MAX_SEQUENCE_SAMPLES
-from threedvc.wire import ByteReader
+from threedvc.stream.wire import ByteReader
 
 pytestmark = pytest.mark.skipif(not can_encode_pictures(), reason="these builds of OpenCV and Pillow have no AVIF")
 

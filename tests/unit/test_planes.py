@@ -8,7 +8,7 @@ import pytest
 
 import planes
 from planes import InverseDepth, Kernel, filled, lanczos, resized, rgb_of, triangle, yuv_of
-from threedvc.metrics import luma
+from threedvc.metrics.picture_quality import luma
 
 
 def smooth_picture() -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.pose import (
+from threedvc.geometry.pose import (
     compose,
     identity,
     inverse,

@@ -16,9 +16,7 @@ from threedvc.config import (
     with_quality,
     with_step,
 )
-from threedvc.errors import ConfigError
-from threedvc.packets import Packet, PacketType
-from threedvc.rate_control import (
+from threedvc.encoder.rate.rate_control import (
     GREATEST_STEP,
     LEAST_STEP,
     LeakyBucket,
@@ -30,6 +28,8 @@ from threedvc.rate_control import (
     stream_bytes,
     surface_room,
 )
+from threedvc.errors import ConfigError
+from threedvc.stream.packets import Packet, PacketType
 
 
 def made(step: float) -> int:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
-from threedvc.kernels.ray_sampling import MAX_BEND, MAX_DEPTH_STEP, MAX_PAIR_STEP, interpolate_between
-from threedvc.ray_grid import RayGrid
-from threedvc.rendering import INTERPOLATIONS, Renderer
+from threedvc.geometry.camera import Camera
+from threedvc.kernels.render.ray_sampling import MAX_BEND, MAX_DEPTH_STEP, MAX_PAIR_STEP, interpolate_between
+from threedvc.render.ray_grid import RayGrid
+from threedvc.render.renderer import INTERPOLATIONS, Renderer
 
 SIZES = [(64, 48), (61, 47), (5, 3), (1, 1), (2, 9)]
 Depth = NDArray[np.float32]

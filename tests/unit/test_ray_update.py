@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.kernels.ray_update import cell_update, ray_update
+from threedvc.kernels.encoder.ray_update import cell_update, ray_update
 
 Floats = NDArray[np.float64]
 

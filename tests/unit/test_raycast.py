@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_rendering import first_occupied, model_of_cells, model_of_shape, surface_cells
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
-from threedvc.object_model import DecodedModel
-from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
-from threedvc.rendering import Picture, Renderer, RenderModel
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.render.renderer import Picture, Renderer, RenderModel
 
 CELL = 0.02
 RADIUS = 0.31

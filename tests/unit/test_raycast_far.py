@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_rendering import model_of_cells, model_of_shape
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
-from threedvc.kernels.raycast_evidence import march
-from threedvc.object_model import DecodedModel
-from threedvc.pose import make_pose, rotation_from_vector
-from threedvc.rendering import Picture, Renderer, RenderModel
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import make_pose, rotation_from_vector
+from threedvc.kernels.encoder.raycast_evidence import march
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.render.renderer import Picture, Renderer, RenderModel
 
 CELL = 0.001
 RADIUS = 0.02

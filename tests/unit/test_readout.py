@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.block_index import BLOCK_CELLS, morton_keys
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import FusionConfig, Sensor
-from threedvc.frame import Frame
-from threedvc.fusion import fuse, observe
-from threedvc.kernels.surface import count_neighbours
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel, EvidenceModel
-from threedvc.pose import identity
-from threedvc.readout import Surface, changes, first_sights, in_regions, read_surface
-from threedvc.sensor_model import SENSORS
+from threedvc.encoder.fusion.integration import fuse, observe
+from threedvc.encoder.fusion.surface_extraction import Surface, changes, first_sights, in_regions, read_surface
+from threedvc.frames.frame import Frame
+from threedvc.frames.sensor_model import SENSORS
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import identity
+from threedvc.kernels.encoder.surface import count_neighbours
+from threedvc.model.block_index import BLOCK_CELLS, morton_keys
+from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.model_update import ModelUpdate
 
 CAMERA = Camera(width=60, height=48, fx=60.0, fy=60.0, cx=29.5, cy=23.5)
 RIG = CameraRig.registered_to(CAMERA)

@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 
 import reference_registration as reference
 from reference_registration import ROOM, WALL, Box, Planes, Sphere, draw
-from threedvc.alignment import Alignment
-from threedvc.camera import Camera
-from threedvc.errors import ConfigError
-from threedvc.kernels import registration as kernels
-from threedvc.pose import Pose, identity, inverse, is_rigid, make_pose, rotation_angle, rotation_from_vector
-from threedvc.registration import (
+from threedvc.encoder.tracking.alignment import Alignment
+from threedvc.encoder.tracking.initial_poses import feature_start, other_starts, predict, register_from_starts
+from threedvc.encoder.tracking.registration import (
     ModelView,
     Registration,
     RegistrationConfig,
@@ -26,7 +23,10 @@ from threedvc.registration import (
     register,
     rests,
 )
-from threedvc.registration_starts import feature_start, other_starts, predict, register_from_starts
+from threedvc.errors import ConfigError
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, identity, inverse, is_rigid, make_pose, rotation_angle, rotation_from_vector
+from threedvc.kernels.encoder import registration as kernels
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=132.0, cx=80.3, cy=59.2)
 LENS = replace(CAMERA, distortion=(0.25, -0.9, -0.005, 0.003, 1.1))

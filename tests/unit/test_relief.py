@@ -8,15 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_rendering import surface_cells
-from threedvc.camera import Camera, CameraRig
 from threedvc.coding.relief import decode_relief, encode_relief
 from threedvc.config import RenderConfig
 from threedvc.errors import CorruptStream
-from threedvc.kernels.relief import FLAT, UNTOLD
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.pose import make_pose
-from threedvc.rendering import Renderer, RenderModel
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import make_pose
+from threedvc.kernels.coding.relief import FLAT, UNTOLD
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.render.renderer import Renderer, RenderModel
 
 CELL = 0.05
 Cells = NDArray[np.int32]

@@ -10,15 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_rendering import model_of_cells, model_of_shape, surface_cells
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
 from threedvc.errors import ConfigError
-from threedvc.kernels.shading import round_colors
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
-from threedvc.ray_grid import RayGrid
-from threedvc.rendering import Picture, Renderer, RenderModel
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.kernels.render.shading import round_colors
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.render.ray_grid import RayGrid
+from threedvc.render.renderer import Picture, Renderer, RenderModel
 
 CELL = 0.03
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)

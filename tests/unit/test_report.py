@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_COUNT
-from threedvc.packets import Packet, PacketType
-from threedvc.report import STATUSES, FrameReport, report_packet, unpack_report
-from threedvc.wire import pack_signed_varint, pack_varint
+from threedvc.stream.frame_report import STATUSES, FrameReport, report_packet, unpack_report
+from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.wire import pack_signed_varint, pack_varint
 
 MEGABYTE = 1 << 20
 

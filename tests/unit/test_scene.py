@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
+from threedvc.encoder.reconstruction.scene import Scene, SceneObject, default_voxel_size
+from threedvc.encoder.tracking.tracker import Located
 from threedvc.errors import SequenceError
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.motion import Located
-from threedvc.pose import Pose, identity, make_pose
-from threedvc.scene import Scene, SceneObject, default_voxel_size
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, identity, make_pose
 
 CAMERA = Camera(width=48, height=36, fx=50.0, fy=50.0, cx=23.5, cy=17.5)
 INFO = SequenceInfo(

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import SegmentationConfig, SegmentationMode
+from threedvc.encoder.segmentation.masks import resolved_mode, segment, without_borders
 from threedvc.errors import SequenceError
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.segmentation import resolved_mode, segment, without_borders
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
 
 DEPTH = np.array([[0.0, 0.5, 1.0], [1.2, 2.0, 0.1]], dtype=np.float32)
 LABELS = np.array([[0, 1, 1], [2, 2, 0]], dtype=np.uint8)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.block_index import BLOCK_SIDE, morton_keys
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel, EvidenceModel
-from threedvc.selection import best_part, bits_lifted, bits_taken
-from threedvc.uncertainty import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
+from threedvc.encoder.fusion.model_entropy import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
+from threedvc.encoder.rate.update_priority import best_part, bits_lifted, bits_taken
+from threedvc.model.block_index import BLOCK_SIDE, morton_keys
+from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.model_update import ModelUpdate
 
 BLOCKS = 6
 IN_SIGHT = np.ones(BLOCKS, dtype=bool)

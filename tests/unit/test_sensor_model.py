@@ -8,8 +8,8 @@ import pytest
 
 from threedvc.config import Sensor
 from threedvc.errors import ConfigError
-from threedvc.kernels.fusion import sensor_sigma
-from threedvc.sensor_model import SENSORS, SensorModel, chosen_sensor, guess_sensor, within
+from threedvc.frames.sensor_model import SENSORS, SensorModel, chosen_sensor, guess_sensor, within
+from threedvc.kernels.encoder.fusion import sensor_sigma
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from threedvc.motion import Located
-from threedvc.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.settling import EASE, eased, settled, smoothed
+from threedvc.encoder.tracking.tracker import Located
+from threedvc.encoder.tracking.trajectory_smoothing import EASE, eased, settled, smoothed
+from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 
 
 def located(poses: list[Pose], status: str = "tracked") -> list[Located | None]:

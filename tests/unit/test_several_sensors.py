@@ -12,19 +12,19 @@ import pytest
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, with_preset
-from threedvc.encoder import Encoder
+from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.tracking.pose_fusion import PoseWitness, joint_pose
 from threedvc.errors import ConfigError, CorruptStream
-from threedvc.formats.api import DecodedFrame, encode, open_stream
-from threedvc.formats.statistics import statistics
-from threedvc.frame import NANOSECONDS, Frame, FrameSequence, moments
-from threedvc.joint_pose import PoseWitness, joint_pose
-from threedvc.merging import MergedSequence
-from threedvc.mounting import mounted_info
-from threedvc.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.scene import Scene
+from threedvc.formats.decoding import DecodedFrame, encode, open_stream
+from threedvc.formats.evaluation.statistics import statistics
+from threedvc.frames.frame import NANOSECONDS, Frame, FrameSequence, moments
+from threedvc.frames.multi_sensor import MergedSequence
+from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.metrics.trajectory import trajectory_error
+from threedvc.stream.sensor_order import Turn, pack_cycle, shortest_cycle, unpack_cycle
 from threedvc.synthesis import SyntheticSequence, make_scene, mounted_sequences
-from threedvc.trajectory import trajectory_error
-from threedvc.turns import Turn, pack_cycle, shortest_cycle, unpack_cycle
 
 FRAMES = 8
 PERIOD_NS = NANOSECONDS // 30

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from recorded_room import SMALL, color_picture, depth_picture, poses
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import ConfigError, OutputError, SequenceError
 from threedvc.formats.sinks import PlainSink
 from threedvc.formats.sources import FolderSequence, open_sequence
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.pose import identity, make_pose, rotation_from_vector
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import identity, make_pose, rotation_from_vector
 
 FRAMES = 4
 SCALE = 5000.0

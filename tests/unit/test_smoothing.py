@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.block_index import BlockIndex
-from threedvc.kernels.surface import BEND, MAX_JUMP, REACH, find_crossings, smooth_distances
+from threedvc.kernels.encoder.surface import BEND, MAX_JUMP, REACH, find_crossings, smooth_distances
+from threedvc.model.block_index import BlockIndex
 
 CELL = 0.02
 SIDE = 16

@@ -15,8 +15,8 @@ import pytest
 from recorded_room import SMALL, color_picture, depth_picture, pose_row, poses, write_picture
 from threedvc.errors import SequenceError
 from threedvc.formats.sources import open_sequence
-from threedvc.formats.sources.images import read_color, read_depth, read_header
-from threedvc.formats.sources.text import read_rows, read_text
+from threedvc.formats.sources.files.images import read_color, read_depth, read_header
+from threedvc.formats.sources.files.text import read_rows, read_text
 
 FRAMES = 4
 TURNED = b"MM\x00\x2a\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00\x00\x00\x00\x00"

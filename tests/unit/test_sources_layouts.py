@@ -24,12 +24,12 @@ from recorded_room import (
     write_picture,
 )
 from reference_warp import colors_at, depth_differences, world_points
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources import FolderSequence, open_sequence
-from threedvc.formats.sources.seven_scenes import RIG
-from threedvc.formats.sources.tum import CAMERAS
-from threedvc.pose import Pose, identity, make_pose, rotation_from_vector
+from threedvc.formats.sources.layouts.seven_scenes import RIG
+from threedvc.formats.sources.layouts.tum import CAMERAS
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
 
 FRAMES = 3
 INTRINSIC_KEYS = ("width", "height", "fx", "fy", "cx", "cy")

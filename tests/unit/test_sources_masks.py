@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from recorded_room import SMALL, color_picture, depth_picture, poses, write_picture
 from threedvc.errors import SequenceError
 from threedvc.formats.sources import FolderSequence, open_sequence
-from threedvc.formats.sources.images import read_mask
-from threedvc.formats.sources.masks import blends
+from threedvc.formats.sources.files.images import read_mask
+from threedvc.formats.sources.files.masks import blends
 
 FRAMES = 4
 CAMERA = {"width": 64, "height": 48, "fx": 60.0, "fy": 61.0, "cx": 31.0, "cy": 24.5}

@@ -14,20 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorded_room import SMALL, color_picture, depth_picture, poses, write_picture
-from threedvc.camera import CameraRig
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.association import associate, list_pictures, name_numbers
-from threedvc.formats.sources.images import PictureHeader, read_color, read_depth, read_header, read_mask
-from threedvc.formats.sources.poses import interpolate_pose
-from threedvc.formats.sources.recording import FrameFiles, Recording
-from threedvc.formats.sources.sequence import FolderSequence
-from threedvc.formats.sources.timestamps import (
+from threedvc.formats.sources.files.images import PictureHeader, read_color, read_depth, read_header, read_mask
+from threedvc.formats.sources.files.poses import interpolate_pose
+from threedvc.formats.sources.files.timestamps import (
     fps_of_stamps,
     parse_nanoseconds,
     parse_stamp,
     regular_stamp,
     to_nanoseconds,
 )
+from threedvc.formats.sources.recording import FrameFiles, Recording
+from threedvc.formats.sources.sequence import FolderSequence
+from threedvc.geometry.camera import CameraRig
 
 
 @pytest.mark.parametrize(

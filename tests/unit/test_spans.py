@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from threedvc.formats.spans import Span, spans_of
+from threedvc.formats.evaluation.frame_ranges import Span, spans_of
 
 
 @pytest.mark.parametrize(

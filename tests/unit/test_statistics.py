@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from streams import FRAMES, INFO, FakeStream, ListSequence, gradient_frame, packed_stream, roaming_stream
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import BadMagic, CorruptStream, FormatError, SequenceError
-from threedvc.formats import statistics as module
 from threedvc.formats.container import FILE_HEAD_BYTES, Record, StreamReader
-from threedvc.formats.statistics import StreamStatistics, statistics
-from threedvc.formats.tally import Tally
-from threedvc.packets import BatchHeader, DepthHeader, ModelHeader, PoseHeader
+from threedvc.formats.evaluation import statistics as module
+from threedvc.formats.evaluation.byte_counts import Tally
+from threedvc.formats.evaluation.statistics import StreamStatistics, statistics
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.stream.packets import BatchHeader, DepthHeader, ModelHeader, PoseHeader
 
 KEYS = {
     "name", "complete", "file_bytes", "frames", "duration_s", "kbit_s", "raw_bytes", "ratio", "packets", "objects",

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import reference_synthesis as reference
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import ConfigError
-from threedvc.frame import Frame
-from threedvc.pose import inverse, make_pose, rotation_from_vector
+from threedvc.frames.frame import Frame
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import inverse, make_pose, rotation_from_vector
 from threedvc.synthesis import SCENES, SyntheticSequence, make_scene, shapes, textures
 from threedvc.synthesis.motion import harmonics, look_at, phases, phases_with_pause
 from threedvc.synthesis.renderer import SceneRenderer

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.cli.synth import NOISES, SCENES, synth
 from threedvc.errors import ConfigError
 from threedvc.formats.sources.opening import open_sequence
+from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.synthesis import SCENES as CORE_SCENES
 from threedvc.synthesis import Noise, SyntheticSequence, make_scene, shapes, textures
 from threedvc.synthesis.noise import depth_edges, kinect_depth, quantised_depth

@@ -8,16 +8,16 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_rendering import model_of_cells
-from threedvc.camera import Camera, CameraRig
 from threedvc.coding.color import ColorSettings
 from threedvc.coding.texture import decode_texture, encode_texture
 from threedvc.config import RenderConfig
 from threedvc.errors import CorruptStream
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.pose import make_pose
-from threedvc.rendering import Renderer, RenderModel
-from threedvc.texture import texels_of
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import make_pose
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.model.texture import texels_of
+from threedvc.render.renderer import Renderer, RenderModel
 
 CELL = 0.05
 NONE = np.empty((0, 3), dtype=np.int32)

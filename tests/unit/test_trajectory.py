@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threedvc.pose import Pose, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.trajectory import (
+from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.metrics.trajectory import (
     aligning_pose,
     angles_between,
     mean_pose,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from reference_exploration import flooded
-from threedvc.entropy_field import EntropyField
-from threedvc.kernels.exploration import flood_cells
-from threedvc.pose import identity, is_rigid
-from threedvc.viewpoints import look_along, reachable_places, reachable_views, upward, views_around
+from threedvc.geometry.pose import identity, is_rigid
+from threedvc.kernels.encoder.exploration import flood_cells
+from threedvc.view_planning.candidate_views import look_along, reachable_places, reachable_views, upward, views_around
+from threedvc.view_planning.occupancy_field import EntropyField
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -10,16 +10,16 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_rendering import model_of_cells, surface_cells
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import RenderConfig
-from threedvc.decoder import FrameState
-from threedvc.formats.course import Course
-from threedvc.formats.spans import Span
-from threedvc.formats.visibility import Lookout
-from threedvc.model_update import ModelUpdate
-from threedvc.object_model import DecodedModel
-from threedvc.pose import Pose, inverse, make_pose, rotation_from_vector
-from threedvc.ray_grid import RayGrid
+from threedvc.decoder.decoder import FrameState
+from threedvc.formats.evaluation.frame_ranges import Span
+from threedvc.formats.evaluation.timeline import Course
+from threedvc.formats.evaluation.visibility import Lookout
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_from_vector
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.render.ray_grid import RayGrid
 
 CELL = 0.03
 RIG = CameraRig.registered_to(Camera(width=320, height=240, fx=300.0, fy=300.0, cx=159.5, cy=119.5))

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.config import EncoderConfig, Motion
-from threedvc.frame import Frame, SequenceInfo
-from threedvc.pose import rotation_angle
-from threedvc.scene import Scene
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import rotation_angle
 
 SIZE = WIDTH, HEIGHT = 120, 90
 RIG = CameraRig.registered_to(Camera(width=WIDTH, height=HEIGHT, fx=110, fy=110, cx=59.5, cy=44.5))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.wire import ByteReader, pack_map, pack_signed_varint, pack_varint, unpack_map
+from threedvc.stream.wire import ByteReader, pack_map, pack_signed_varint, pack_varint, unpack_map
 
 
 @pytest.mark.parametrize(

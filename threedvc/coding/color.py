@@ -9,11 +9,11 @@ from math import isqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.mixer import new_mixer
+from threedvc.coding.entropy.mixer import new_mixer
+from threedvc.coding.entropy.range_coder import RangeCoder, new_counters
 from threedvc.coding.octree import Neighborhood, Octree, children_of
-from threedvc.coding.range_coder import RangeCoder, new_counters
 from threedvc.errors import ConfigError, CorruptStream
-from threedvc.kernels.color_coding import (
+from threedvc.kernels.coding.color_coding import (
     COLOR_MODELS,
     COLOR_SETS,
     COLOR_WEIGHT_ROWS,
@@ -21,7 +21,7 @@ from threedvc.kernels.color_coding import (
     Quantiser,
     code_colors,
 )
-from threedvc.kernels.color_transform import (
+from threedvc.kernels.coding.color_transform import (
     FRACTION_BITS,
     MAX_VALUE,
     ColorLevel,
@@ -29,8 +29,8 @@ from threedvc.kernels.color_transform import (
     sum_children,
     to_luma_chroma,
 )
-from threedvc.kernels.entropy import NUMBER_COUNTERS
-from threedvc.kernels.octree import BIT_COUNTS
+from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.octree import BIT_COUNTS
 
 __all__ = ["LEAST_STEP", "MAX_STEP", "ColorSettings", "code_cell_colors"]
 

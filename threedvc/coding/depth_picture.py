@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
+from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.kernels.depth_picture import DEPTH_COUNTERS, MAX_SAMPLE, DepthSamples, code_depths
-from threedvc.kernels.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.depth_picture import DEPTH_COUNTERS, MAX_SAMPLE, DepthSamples, code_depths
+from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 from threedvc.limits import MAX_DEPTH_SAMPLES
 
 __all__ = [

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
+from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.entropy import NUMBER_COUNTERS
-from threedvc.picture_filter import KINDS, PAIRS, PictureFilter
+from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.model.post_filter import KINDS, PAIRS, PictureFilter
 
 __all__ = ["MAX_FACTOR", "decode_filter", "encode_filter"]
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
+from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 
 __all__ = ["NEUTRAL", "GainCoder", "apply_gain", "quantised_gain"]
 

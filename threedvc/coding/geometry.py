@@ -6,18 +6,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.coding.entropy.mixer import new_mixer
+from threedvc.coding.entropy.range_coder import RangeCoder
 from threedvc.coding.geometry_prior import geometry_prior
-from threedvc.coding.mixer import new_mixer
 from threedvc.coding.octree import Octree, TreeWalk
-from threedvc.coding.range_coder import RangeCoder
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.kernels.geometry_coding import (
+from threedvc.kernels.coding.geometry_coding import (
     GEOMETRY_MODELS,
     GEOMETRY_SETS,
     GEOMETRY_WEIGHT_ROWS,
     code_masks,
 )
-from threedvc.kernels.octree import BIT_COUNTS
+from threedvc.kernels.coding.octree import BIT_COUNTS
 
 __all__ = ["MAX_NODES", "code_new_cells", "code_subset"]
 

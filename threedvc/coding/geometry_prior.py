@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Weights of the network that guesses geometry; see `threedvc.kernels.geometry_prior`."""
+"""Weights of the network that guesses geometry; see `threedvc.kernels.coding.geometry_prior`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from threedvc.coding.prior_weights import OUTPUT_BIAS, WEIGHTS
-from threedvc.kernels.geometry_prior import FEATURES, HIDDEN, Prior
+from threedvc.coding.entropy.prior_weights import OUTPUT_BIAS, WEIGHTS
+from threedvc.kernels.coding.geometry_prior import FEATURES, HIDDEN, Prior
 
 __all__ = ["geometry_prior"]
 

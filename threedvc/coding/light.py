@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import CorruptStream
-from threedvc.kernels.shading import LIGHT_TERMS
+from threedvc.kernels.render.shading import LIGHT_TERMS
 
 __all__ = ["pack_light", "unpack_light"]
 

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels.octree import COORDINATE_BITS, interleave_bits, separate_bits
+from threedvc.kernels.coding.octree import COORDINATE_BITS, interleave_bits, separate_bits
 
 __all__ = ["MAX_COORDINATE", "Cube", "cells_of_codes", "morton_codes", "morton_order"]
 

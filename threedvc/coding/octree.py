@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels.geometry_prior import CENTER, Surroundings
-from threedvc.kernels.octree import BIT_COUNTS, Level, expand_children, find_neighbors, group_children
+from threedvc.kernels.coding.geometry_prior import CENTER, Surroundings
+from threedvc.kernels.coding.octree import BIT_COUNTS, Level, expand_children, find_neighbors, group_children
 
 __all__ = ["Neighborhood", "Octree", "TreeWalk", "children_of"]
 

@@ -21,7 +21,7 @@ from PIL import Image, features
 from threedvc.coding.picture import avif_file, can_decode_pictures
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.limits import MAX_SEQUENCE_SAMPLES
-from threedvc.wire import ByteReader, pack_varint
+from threedvc.stream.wire import ByteReader, pack_varint
 
 __all__ = ["can_decode_sequences", "can_encode_sequences", "decode_sequence", "encode_sequence"]
 

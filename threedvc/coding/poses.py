@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.range_coder import RangeReader, RangeWriter, new_counters
+from threedvc.coding.entropy.range_coder import RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.pose_coding import POSE_COUNTERS, RECENT_SIZE, code_residuals, follow_poses, repeats_last
-from threedvc.pose import Pose, make_pose, quaternion
+from threedvc.geometry.pose import Pose, make_pose, quaternion
+from threedvc.kernels.coding.pose_coding import POSE_COUNTERS, RECENT_SIZE, code_residuals, follow_poses, repeats_last
 
 __all__ = ["PoseCoder"]
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
+from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.relief import RELIEF_COUNTERS, ReliefCells, code_relief
-from threedvc.object_model import DecodedModel
+from threedvc.kernels.coding.relief import RELIEF_COUNTERS, ReliefCells, code_relief
+from threedvc.model.decoded_model import DecodedModel
 
 __all__ = ["decode_relief", "encode_relief"]
 

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.color import ColorSettings, code_cell_colors
+from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter
 from threedvc.coding.morton import Cube, morton_codes
 from threedvc.coding.octree import Octree
-from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter
 from threedvc.errors import LimitExceeded
-from threedvc.kernels.octree import COORDINATE_BITS
-from threedvc.object_model import DecodedModel
+from threedvc.kernels.coding.octree import COORDINATE_BITS
+from threedvc.model.decoded_model import DecodedModel
 
 __all__ = ["decode_texture", "encode_texture"]
 

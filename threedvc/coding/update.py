@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.color import ColorSettings, code_cell_colors
+from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.coding.geometry import code_new_cells, code_subset
 from threedvc.coding.morton import MAX_COORDINATE, Cube, cells_of_codes, morton_codes, morton_order
 from threedvc.coding.octree import Octree
-from threedvc.coding.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.kernels.entropy import NUMBER_COUNTERS
-from threedvc.kernels.octree import COORDINATE_BITS
-from threedvc.model_update import ModelUpdate
+from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.octree import COORDINATE_BITS
+from threedvc.model.model_update import ModelUpdate
 
 __all__ = ["decode_update", "encode_update", "encode_update_with_result"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.pose import Pose, make_pose
+from threedvc.geometry.pose import Pose, make_pose
 
 __all__ = ["harmonics", "look_at", "phases", "phases_with_pause"]
 

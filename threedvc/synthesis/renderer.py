@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera
+from threedvc.geometry.camera import Camera
+from threedvc.geometry.pose import Pose, identity, inverse
 from threedvc.kernels import synthesis as kernels
 from threedvc.parallel import default_threads, for_ranges
-from threedvc.pose import Pose, identity, inverse
 from threedvc.synthesis.scene import Scene
 from threedvc.synthesis.shapes import Part
 

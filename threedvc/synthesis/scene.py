@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import CameraRig
 from threedvc.errors import ConfigError
-from threedvc.pose import Pose, inverse
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose, inverse
 from threedvc.synthesis.shapes import Part
 
 __all__ = ["Body", "Light", "Scene"]

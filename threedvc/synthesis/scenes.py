@@ -18,9 +18,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.camera import Camera, CameraRig
 from threedvc.errors import ConfigError
-from threedvc.pose import Pose, make_pose, rotation_from_vector
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 from threedvc.synthesis import textures, toys
 from threedvc.synthesis.motion import harmonics, look_at, phases, phases_with_pause
 from threedvc.synthesis.scene import Body, Light, Scene

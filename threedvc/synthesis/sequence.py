@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import ConfigError
-from threedvc.frame import NANOSECONDS, Frame, SequenceInfo
-from threedvc.pose import Pose, make_pose, rotation_from_vector
+from threedvc.frames.frame import NANOSECONDS, Frame, SequenceInfo
+from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 from threedvc.synthesis.noise import KINECT_PROJECTOR_M, Noise, kinect_depth, quantised_depth
 from threedvc.synthesis.renderer import Picture, SceneRenderer
 from threedvc.synthesis.scene import Scene
@@ -24,7 +24,7 @@ SENSOR_TURN_RAD, SENSOR_SHIFT_M = 0.6, 0.12
 
 
 class SyntheticSequence:
-    """Frames of a scene as a `threedvc.frame.FrameSequence`, without touching the disk.
+    """Frames of a scene as a `threedvc.frames.frame.FrameSequence`, without touching the disk.
 
     Parameters
     ----------

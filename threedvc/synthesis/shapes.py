@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from threedvc.errors import ConfigError
+from threedvc.geometry.pose import Pose, identity, make_pose
 from threedvc.kernels import synthesis as kernels
-from threedvc.pose import Pose, identity, make_pose
 from threedvc.synthesis.textures import Texture
 
 __all__ = [

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from threedvc.pose import Pose
+from threedvc.geometry.pose import Pose
 from threedvc.synthesis import textures
 from threedvc.synthesis.shapes import (
     Part,

@@ -1,0 +1,437 @@
+# SPDX-License-Identifier: MIT
+"""Encode and decode whole sequences: frames from folders, streams in files and pipes."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from itertools import chain, islice, takewhile
+from typing import BinaryIO, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.coding.gains import apply_gain
+from threedvc.config import EncoderConfig, RenderConfig
+from threedvc.decoder.decoder import Decoder, FrameState
+from threedvc.decoder.sensor_state import rig_of
+from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.errors import ConfigError, FormatError, TruncatedStream
+from threedvc.formats.container import open_input, open_output
+from threedvc.formats.pose_check import settle_poses
+from threedvc.formats.sources import open_sequence
+from threedvc.formats.sources.notices import Notice, notices_of
+from threedvc.frames.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose, compose, inverse
+from threedvc.render.renderer import Picture, Renderer, RenderModel
+from threedvc.stream.frame_report import FrameReport
+from threedvc.stream.packets import Packet, PacketType, SensorHeader, StreamHeader
+
+__all__ = ["DecodedFrame", "DecodedStream", "EncodeReport", "decode", "encode", "errors_named", "open_stream"]
+
+EVERYTHING = frozenset({"color", "depth", "labels"})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncodeReport(Sequence[FrameReport]):
+    """What encoding came to; as a sequence, one report for each frame.
+
+    Attributes
+    ----------
+    file_bytes, duration_s
+        Size of the stream and length of the sequence.
+    seconds
+        Time it took.
+    voxel_size_m
+        Cell of the first object.
+    digest
+        Digest of the decoded models.
+    notices
+        What was decided about the recording, and doubts.
+    """
+
+    reports: tuple[FrameReport, ...]
+    file_bytes: int
+    duration_s: float
+    seconds: float
+    voxel_size_m: float
+    digest: bytes
+    notices: tuple[Notice, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.reports)
+
+    @property
+    def lost_frames(self) -> tuple[int, ...]:
+        """Frames in which an object could not be found."""
+        return tuple(report.index for report in self.reports if report.status == "lost")
+
+    def __len__(self) -> int:
+        return len(self.reports)
+
+    @overload
+    def __getitem__(self, index: int) -> FrameReport: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[FrameReport]: ...
+    def __getitem__(self, index: int | slice) -> FrameReport | Sequence[FrameReport]:
+        return self.reports[index]
+
+
+def encode(
+    source: str | os.PathLike[str] | FrameSequence,
+    output: str | os.PathLike[str] | BinaryIO,
+    config: EncoderConfig | None = None,
+    *,
+    verify: bool = False,
+    force: bool = False,
+    on_frame: Callable[[FrameReport], None] | None = None,
+    on_notice: Callable[[Notice], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> EncodeReport:
+    """Encode a sequence of RGB-D frames.
+
+    Parameters
+    ----------
+    source
+        A folder in a layout that `open_sequence` knows, or a sequence.
+    output
+        A file name, ``-`` for standard output, or a binary stream.
+    config
+        Choices; None: defaults.
+    verify
+        Decode what is written, and fail if the decoder arrives at another model.
+    force
+        Whether a file that is no stream may be replaced.
+    on_frame
+        Called after each frame is fused.
+    on_notice
+        Called with each decision about the recording and each doubt, before the first frame is fused.
+    stop
+        Asked before each frame of a live encode: whether the stream is to end with those before it.
+
+    Returns
+    -------
+    EncodeReport
+        A sequence of the frames' reports, with totals.
+
+    Raises
+    ------
+    SequenceError
+        If the input is missing or implausible, or its poses are asked for and contradict its depth.
+    OutputError
+        If the output cannot be written.
+    """
+    sequence = open_sequence(source) if isinstance(source, str | os.PathLike) else source
+    began = time.perf_counter()
+    settled = settle_poses(sequence, config or EncoderConfig())
+    notices = (*notices_of(sequence), *settled.notices)
+    if on_notice is not None:
+        for notice in notices:
+            on_notice(notice)
+    sequence, info = settled.frames, settled.frames.info
+    encoder = Encoder(info, settled.config)
+    written = 0
+
+    def report(frame: FrameReport) -> None:
+        if on_frame is not None:
+            on_frame(replace(frame, bytes_so_far=written))
+
+    frames: Iterable[Frame] = sequence
+    if stop is not None and settled.config.causal:
+        frames = takewhile(lambda _: not stop(), sequence)
+    packets: Iterable[Packet] = encoder.packets(frames, report)
+    if verify:
+        packets = verified(packets)
+    digest = b""
+    with open_output(output, force=force) as writer:
+        for packet in packets:
+            writer.write(packet)
+            written = writer.offset
+            if packet.type == PacketType.END:
+                digest = packet.header["d"]
+    return EncodeReport(
+        reports=tuple(encoder.reports),
+        file_bytes=writer.offset,
+        duration_s=len(encoder.reports) / info.fps,
+        seconds=time.perf_counter() - began,
+        voxel_size_m=encoder.scene.objects[0].evidence.voxel_size_m,
+        digest=digest,
+        notices=notices,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DecodedFrame:
+    """One frame out of a stream.
+
+    Attributes
+    ----------
+    index, timestamp_ns
+        Which frame.
+    color_timestamp_ns
+        Time of the colour picture as filmed if that is another, else None.
+    sensor, number
+        The sensor that took it, from 0, and which of its own frames it is.
+    color
+        (h, w, 3) uint8 RGB in the colour camera.
+    depth
+        (h, w) float32 metres in the depth camera, 0 = nothing there.
+    labels
+        (h, w) uint8 object numbers in the depth camera.
+    T_world_camera
+        Pose of the depth camera that the frame was drawn from.
+    T_camera_object
+        Poses of the objects except the background, by number.
+    """
+
+    index: int
+    timestamp_ns: int
+    sensor: int
+    number: int
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+    T_world_camera: Pose
+    T_camera_object: dict[int, Pose]
+    color_timestamp_ns: int | None = None
+
+
+class DecodedStream:
+    """A stream being decoded: its description, and its frames by iteration (once).
+
+    Made by `open_stream`, which documents the choices.
+
+    Attributes
+    ----------
+    infos
+        What each sensor's frames will be as a sequence; `frame_count` is None, for only END tells.
+    decoder
+        Models, report and completeness, as far as decoding has come.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike[str] | BinaryIO,
+        *,
+        frames: tuple[int, int | None] | None,
+        what: frozenset[str],
+        size: tuple[int, int] | None,
+        objects: Sequence[int] | None,
+        camera_path: Sequence[Pose] | None,
+        sensor: int | None,
+        render: RenderConfig | None,
+    ) -> None:
+        if camera_path is not None and not len(camera_path):
+            raise ConfigError("the camera path has no poses; give one line for each frame")
+        render = render or RenderConfig()
+        self._filmed = render.filmed_depth and "depth" in what and objects is None and camera_path is None
+        self.decoder = Decoder(filmed=self._filmed)
+        self._frames, self._what, self._objects = frames or (0, None), what, objects
+        self._camera_path = camera_path
+        self._opened = ExitStack()
+        reader = self._opened.enter_context(open_input(source))
+        self._name, self._packets = reader.name, iter(reader)
+        self._heads = list(islice(self._packets, 1))
+        if not self._heads or self._heads[0].type != PacketType.STREAM:
+            raise TruncatedStream(f"{self._name}: ends before its STREAM packet; nothing can be decoded")
+        first = StreamHeader.from_map(self._heads[0].header)
+        headers: list[StreamHeader | SensorHeader] = [first]
+        for _ in range(first.sensors - 1):
+            packet = next(self._packets, None)
+            if packet is None or packet.type != PacketType.SENSOR:
+                raise TruncatedStream(f"{self._name}: ends before all its SENSOR packets; nothing can be decoded")
+            self._heads.append(packet)
+            headers.append(SensorHeader.from_map(packet.header))
+        if sensor is not None and not 0 <= sensor < len(headers):
+            raise ConfigError(f"{self._name}: has no sensor {sensor}; choose from 0 to {len(headers) - 1}")
+        rigs = [rig_of(header) for header in headers]
+        shown = [rig if size is None else rig.resized(*size) for rig in rigs]
+        self._sensor = 0 if sensor is None and camera_path is not None else sensor
+        self._as_filmed = camera_path is None and all(_same_size(*pair) for pair in zip(rigs, shown, strict=True))
+        self._renderers = [Renderer(rig, render) for rig in shown]
+        self._models: dict[int, RenderModel] = {}
+        self.infos = tuple(_info(header, rig, what) for header, rig in zip(headers, shown, strict=True))
+
+    def close(self) -> None:
+        """Close the stream; iterating over all frames does so, too."""
+        self._opened.close()
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What the frames of the first sensor, or of the one that is chosen, will be as a sequence."""
+        return self.infos[self._sensor or 0]
+
+    def __iter__(self) -> Iterator[DecodedFrame]:
+        first, stop = self._frames
+        wanted = range(len(self.infos)) if self._sensor is None else [self._sensor]
+        seen = dict.fromkeys(wanted, 0)
+        with self._opened, errors_named(self._name):
+            for state in self.decoder.frames(chain(self._heads, self._packets)):
+                if stop is not None and min(seen.values()) >= stop:
+                    return
+                if state.sensor not in seen:
+                    continue
+                seen[state.sensor] = state.number + 1
+                if state.number >= first and (stop is None or state.number < stop):
+                    yield self._draw(state)
+        if first >= max(seen.values()):
+            raise ConfigError(f"frame {first} is beyond the stream, which has {max(seen.values())} frames")
+
+    def _draw(self, state: FrameState) -> DecodedFrame:
+        T_world_camera, poses = state.T_world_camera, dict(state.T_camera_object)
+        if self._camera_path is not None:
+            seen_from = self._camera_path[min(state.number, len(self._camera_path) - 1)]
+            T_view_camera = compose(inverse(seen_from), T_world_camera)
+            poses = {number: compose(T_view_camera, pose) for number, pose in poses.items()}
+            T_world_camera = seen_from
+        picture = self._picture(poses, state)
+        return DecodedFrame(
+            index=state.index,
+            timestamp_ns=state.timestamp_ns,
+            color_timestamp_ns=state.color_timestamp_ns,
+            sensor=state.sensor,
+            number=state.number,
+            color=picture.color,
+            depth=picture.depth,
+            labels=picture.labels,
+            T_world_camera=T_world_camera,
+            T_camera_object={
+                number: pose for number, pose in poses.items() if number and not self.decoder.models[number].guessed
+            },
+        )
+
+    def _shows(self, number: int) -> bool:
+        """Tell whether an object is to be drawn; guessed ones belong to the background."""
+        return self._objects is None or (0 if self.decoder.models[number].guessed else number) in self._objects
+
+    def _picture(self, poses: dict[int, Pose], state: FrameState) -> Picture:
+        """Draw the objects; gain and shift are those of the camera that filmed, not of one on another path."""
+        renderer = self._renderers[state.sensor]
+        shown = {number: pose for number, pose in poses.items() if self._shows(number)}
+        for number in shown:
+            if number not in self._models:
+                self._models[number] = RenderModel(self.decoder.models[number])
+            self._models[number].refresh(renderer.config.threads)
+        filmed = self._camera_path is None
+        picture = renderer.draw(
+            self._models,
+            shown,
+            color="color" in self._what,
+            gain=apply_gain(state.gain) if filmed else None,
+            T_shifted_camera=state.T_shifted_camera if filmed else None,
+            backdrop=state.backdrop if self._objects is None or 0 in self._objects else None,
+            lights={number: light for number, light in state.lights.items() if number in shown},
+            filters=state.filters if self._as_filmed else None,
+        )
+        if state.filmed is None:
+            return picture
+        return replace(picture, depth=state.filmed.shown(picture.depth, renderer.config.threads))
+
+
+@contextmanager
+def errors_named(name: str) -> Iterator[None]:
+    """Put the name of the stream before the message of an error that lacks it: a decoder knows no files."""
+    try:
+        yield
+    except FormatError as error:
+        if str(error).startswith(f"{name}: "):
+            raise
+        raise type(error)(f"{name}: {error}") from None
+
+
+def _same_size(one: CameraRig, other: CameraRig) -> bool:
+    return (one.color.width, one.color.height) == (other.color.width, other.color.height)
+
+
+def _info(header: StreamHeader | SensorHeader, rig: CameraRig, what: frozenset[str]) -> SequenceInfo:
+    return SequenceInfo(
+        name=header.name,
+        rig=rig,
+        depth_scale=header.depth_scale,
+        fps=NANOSECONDS * header.period_den / header.period_num,
+        frame_count=None,
+        grey=header.grey,
+        has_camera_poses=True,
+        has_object_poses=True,
+        has_masks="labels" in what,
+    )
+
+
+def open_stream(
+    source: str | os.PathLike[str] | BinaryIO,
+    *,
+    frames: tuple[int, int | None] | None = None,
+    what: frozenset[str] = EVERYTHING,
+    size: tuple[int, int] | None = None,
+    objects: Sequence[int] | None = None,
+    camera_path: Sequence[Pose] | None = None,
+    sensor: int | None = None,
+    render: RenderConfig | None = None,
+) -> DecodedStream:
+    """Open a stream for decoding.
+
+    Parameters
+    ----------
+    source
+        A file name, ``-`` for standard input, or a binary stream.
+    frames
+        First frame and the one after the last, counted for each sensor by itself; None: all.
+    what
+        Which of ``color``, ``depth``, ``labels`` are wanted; without colour its rays are saved.
+    size
+        (width, height) of the pictures; None: as encoded.
+    objects
+        Numbers of the objects to draw; None: all.
+    camera_path
+        T_world_camera for each frame of the first sensor, or of the one that is chosen, whose cameras are moved there;
+        its last one for all that follow; None: as filmed.
+    sensor
+        Number of the sensor whose frames are drawn; None: all.
+    render
+        Choices of the renderer.
+
+    Returns
+    -------
+    DecodedStream
+        Iterate over it for the frames; TruncatedStream is raised after the last one that is complete.
+    """
+    return DecodedStream(
+        source,
+        frames=frames,
+        what=what,
+        size=size,
+        objects=objects,
+        camera_path=camera_path,
+        sensor=sensor,
+        render=render,
+    )
+
+
+def decode(
+    source: str | os.PathLike[str] | BinaryIO,
+    *,
+    frames: tuple[int, int | None] | None = None,
+    what: frozenset[str] = EVERYTHING,
+    size: tuple[int, int] | None = None,
+    objects: Sequence[int] | None = None,
+    camera_path: Sequence[Pose] | None = None,
+    sensor: int | None = None,
+    render: RenderConfig | None = None,
+) -> Iterator[DecodedFrame]:
+    """Iterate over the frames of a stream; the parameters are those of `open_stream`."""
+    yield from open_stream(
+        source,
+        frames=frames,
+        what=what,
+        size=size,
+        objects=objects,
+        camera_path=camera_path,
+        sensor=sensor,
+        render=render,
+    )

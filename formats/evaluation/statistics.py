@@ -1,0 +1,552 @@
+# SPDX-License-Identifier: MIT
+"""What a stream weighs, where its bytes go, what moves in it, and how well it draws a reference sequence.
+
+The stream is decoded once, for its bytes, models and motion, with a few rays for what each frame shows; with a
+reference once more, drawing and comparing one frame at a time.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, BinaryIO, TypeAlias, cast
+
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.sensor_state import rig_of
+from threedvc.errors import ConfigError, FormatError, TruncatedStream
+from threedvc.formats.container import StreamReader
+from threedvc.formats.decoding import DecodedFrame, DecodedStream, errors_named, open_stream
+from threedvc.formats.evaluation.byte_counts import PacketTotal, Tally
+from threedvc.formats.evaluation.comparison import Comparison, check_comparable, paired
+from threedvc.formats.evaluation.frame_ranges import Span, spans_of
+from threedvc.formats.evaluation.object_comparison import ObjectQuality, SpuriousObject
+from threedvc.formats.evaluation.timeline import BACKGROUND, Course
+from threedvc.formats.evaluation.visibility import Lookout
+from threedvc.formats.sources import FolderSequence, open_sequence
+from threedvc.formats.sources.notices import Notice, notices_of
+from threedvc.formats.sources.opening import require_folder
+from threedvc.formats.sources.recording import KnownCameras
+from threedvc.frames.frame import NANOSECONDS, FrameSequence
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose, quaternion
+from threedvc.metrics.picture_quality import PaperAccounting
+from threedvc.metrics.trajectory import TrajectoryError, Travel
+from threedvc.stream.packets import SensorHeader, StreamHeader
+
+__all__ = [
+    "FrameStatistics",
+    "ObjectStatistics",
+    "ReferenceOptions",
+    "SensorStatistics",
+    "StreamStatistics",
+    "statistics",
+]
+
+STANDARD_INPUT = "-"
+DEPTH_BYTES = 2
+PICTURES = frozenset({"color", "depth"})
+NAMED = ("relocalised", "weak", "lost")
+"""Statuses whose frames are named one by one."""
+
+StreamSource: TypeAlias = str | os.PathLike[str] | BinaryIO
+ReferenceOptions: TypeAlias = Mapping[str, Any]
+"""Options of `open_sequence` by name: layout, color, depth, intrinsics, depth_scale, fps, poses."""
+Reference: TypeAlias = str | os.PathLike[str] | FrameSequence
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectStatistics:
+    """One object of the stream.
+
+    Attributes
+    ----------
+    id
+        Its number; 0 is the background.
+    cells, voxel_size_m, bytes
+        Cells at the end, their edge, and what packets of the object alone take.
+    poses
+        Number of frames that carry a pose for it.
+    guessed
+        Whether it only fills holes of the background, in colour.
+    passing
+        Whether it stands for things that are there for a moment, such as hands.
+    spans
+        Frames in which it is visible, see `threedvc.formats.evaluation.visibility`.
+    birth, death
+        First and last of these; None if there are none, and `death` also if it is visible in the last frame.
+    travel
+        How far the middle of its cells went in the world from its birth on; None for the background and for what is
+        never visible.
+    """
+
+    id: int
+    cells: int
+    voxel_size_m: float
+    bytes: int
+    poses: int
+    guessed: bool = False
+    passing: bool = False
+    spans: tuple[Span, ...] = ()
+    birth: int | None = None
+    death: int | None = None
+    travel: Travel | None = None
+
+    @property
+    def background(self) -> bool:
+        """Whether it is the background, whose frame is the world."""
+        return self.id == BACKGROUND
+
+    @property
+    def visible_frames(self) -> int:
+        """Number of frames in which it is visible."""
+        return sum(span.last - span.first + 1 for span in self.spans)
+
+    def to_map(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        return asdict(self) | {"background": self.background, "visible_frames": self.visible_frames}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorStatistics:
+    """One sensor of the stream.
+
+    Attributes
+    ----------
+    number, name
+        Which one, and the name of what it recorded.
+    frames, duration_s
+        Number of its frames, and that divided by its frame rate.
+    raw_bytes
+        Size of its frames as 8-bit colour (with its channels) and 16-bit depth.
+    """
+
+    number: int
+    name: str
+    frames: int
+    duration_s: float
+    raw_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameStatistics:
+    """One frame: its share of the stream, what it shows, and its quality where there is a reference.
+
+    Attributes
+    ----------
+    frame, timestamp_ns
+        Number and time.
+    sensor
+        The sensor that took it.
+    bytes
+        Bytes sent for the frame; packets of several frames are divided evenly.
+    T_world_camera
+        Pose of the depth camera.
+    visible_objects
+        Number of objects that it shows, without the background and what is guessed.
+    entropy_bits, status
+        Entropy of the encoder's models after the frame, and how its pose was found; None where the
+        stream does not say.
+    quality
+        Measures of this frame alone, empty without a reference.
+    """
+
+    frame: int
+    timestamp_ns: int
+    bytes: int
+    T_world_camera: Pose
+    visible_objects: int
+    entropy_bits: float | None = None
+    status: str | None = None
+    sensor: int = 0
+    quality: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamStatistics:
+    """The report of `statistics`.
+
+    Attributes
+    ----------
+    name
+        Name of the encoded sequence.
+    complete
+        False when the stream ends too early; everything else then describes the part that is there.
+    file_bytes, duration_s
+        Size of the file, and frames divided by the frame rate; of several sensors that of the longest.
+    raw_bytes
+        Size of the frames as 8-bit colour (with its channels) and 16-bit depth.
+    packets
+        Totals by type of packet.
+    objects
+        In order of number.
+    per_frame
+        In order of time.
+    paper
+        Equations (8) to (10); M and F_m sum over the objects that move, which the background does when
+        the camera does.
+    travel
+        How far the camera went; None without frames.
+    camera, object_motion
+        Error of the camera's trajectory, and of the camera's trajectory in the frame of each object. All frames
+        count whose true pose is known, those also in which the encoder had lost an object.
+    reference_objects, spurious_objects
+        How well the objects of the reference were found, and objects that are none of these, see
+        `threedvc.formats.evaluation.object_comparison`; None where the reference has nothing to tell by.
+    quality
+        Measures over all frames; None without a reference.
+    sensors
+        All sensors, usually one.
+    """
+
+    name: str
+    complete: bool
+    file_bytes: int
+    duration_s: float
+    raw_bytes: int
+    packets: Mapping[str, PacketTotal]
+    objects: Sequence[ObjectStatistics]
+    per_frame: Sequence[FrameStatistics]
+    paper: PaperAccounting
+    travel: Travel | None = None
+    camera: TrajectoryError | None = None
+    object_motion: Mapping[int, TrajectoryError] = field(default_factory=dict)
+    reference_objects: Sequence[ObjectQuality] | None = None
+    spurious_objects: Sequence[SpuriousObject] | None = None
+    quality: Mapping[str, float] | None = None
+    sensors: Sequence[SensorStatistics] = ()
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that can be decoded."""
+        return len(self.per_frame)
+
+    @property
+    def kbit_s(self) -> float:
+        """Bits of the whole file per second of video, in thousands."""
+        return self.file_bytes * 8 / self.duration_s / 1000 if self.duration_s else math.nan
+
+    @property
+    def ratio(self) -> float:
+        """N of the compression 1:N against the raw frames."""
+        return self.raw_bytes / self.file_bytes
+
+    @property
+    def status(self) -> dict[str, int]:
+        """Number of frames by the status of their pose."""
+        return dict(Counter(item.status for item in self.per_frame if item.status is not None))
+
+    @property
+    def status_spans(self) -> dict[str, tuple[Span, ...]]:
+        """Frames whose pose was weak, lost, or found again after it was lost, by status; only those that occur."""
+        spans = {name: spans_of(item.frame for item in self.per_frame if item.status == name) for name in NAMED}
+        return {name: frames for name, frames in spans.items() if frames}
+
+    @property
+    def object_count(self) -> int:
+        """Number of objects, without the background, what is guessed and what only passes."""
+        return sum(not (item.background or item.guessed or item.passing) for item in self.objects)
+
+    def to_map(self) -> dict[str, Any]:
+        """Return the report as plain values; a number that is not finite becomes None."""
+        report: dict[str, Any] = {
+            "name": self.name,
+            "complete": self.complete,
+            "file_bytes": self.file_bytes,
+            "frames": self.frames,
+            "duration_s": self.duration_s,
+            "kbit_s": self.kbit_s,
+            "raw_bytes": self.raw_bytes,
+            "ratio": self.ratio,
+            "packets": {name: asdict(total) for name, total in self.packets.items()},
+            "sensors": [asdict(sensor) for sensor in self.sensors],
+            "object_count": self.object_count,
+            "objects": [item.to_map() for item in self.objects],
+            "bytes_per_frame": [item.bytes for item in self.per_frame],
+            "entropy_bits": [item.entropy_bits for item in self.per_frame if item.entropy_bits is not None],
+            "trajectory": self._trajectory_map(),
+            "paper": {
+                "M": self.paper.cells,
+                "F_m": self.paper.pose_frames,
+                "S_3dvc": self.paper.coded_bytes,
+                "S_raw": self.paper.raw_bytes,
+                "ratio": self.paper.ratio,
+            },
+        }
+        for name in ("reference_objects", "spurious_objects"):
+            if (items := getattr(self, name)) is not None:
+                report[name] = [asdict(item) for item in items]
+        if self.quality is not None:
+            report["quality"] = dict(self.quality)
+        return {name: _finite(value) for name, value in report.items()}
+
+    def to_json(self) -> str:
+        """Return the report as JSON text."""
+        return json.dumps(self.to_map(), indent=1)
+
+    def _trajectory_map(self) -> dict[str, Any]:
+        report: dict[str, Any] = {
+            "status": self.status,
+            "spans": self.status_spans,
+            "lost_frames": self.status.get("lost", 0) if self.status else None,
+            "travel": None if self.travel is None else asdict(self.travel),
+            "poses": [_position_and_turn(item.T_world_camera) for item in self.per_frame],
+        }
+        if self.camera is not None:
+            report |= asdict(self.camera)
+        if self.object_motion:
+            report["objects"] = {str(number): asdict(error) for number, error in self.object_motion.items()}
+        return report
+
+
+def _position_and_turn(pose: Pose) -> list[float]:
+    """Return tx, ty, tz in metres and qx, qy, qz, qw."""
+    return [float(value) for value in (*pose[:3, 3], *quaternion(pose[:3, :3]))]
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def statistics(
+    source: StreamSource,
+    reference: Reference | Sequence[Reference] | None = None,
+    *,
+    options: Sequence[ReferenceOptions] = (),
+    on_frame: Callable[[int], None] | None = None,
+    on_notice: Callable[[Notice], None] | None = None,
+) -> StreamStatistics:
+    """Report what a stream weighs and, with a reference, how well it draws.
+
+    Parameters
+    ----------
+    source
+        A .3dvc file, ``-`` for standard input, or a binary stream; what is not a file is copied to
+        a temporary one.
+    reference
+        The frames that were encoded: a folder in any layout, or a sequence; for a stream of several sensors a list of
+        these, one for each. Frames are paired in order where both have the same number of them, else by their times.
+    options
+        How the references are read, for folders: as of `open_sequence`, for each of them or one for all. What is not
+        given is taken from what the stream says of its input, then from the recording, then from the stream's cameras.
+    on_frame
+        Called with the number of each frame that has been compared.
+    on_notice
+        Called with each decision about a reference and each doubt.
+
+    Raises
+    ------
+    FormatError
+        If the stream cannot be read. One that merely ends too early is reported as not complete.
+    SequenceError
+        If the reference cannot be read or does not have the frames of the stream.
+    ConfigError
+        If there are not as many references as sensors.
+    """
+    references = _listed(reference)
+    for each in references:
+        if isinstance(each, str | os.PathLike):
+            require_folder(Path(each))
+    with _file(source) as (file, name):
+        report, decoder = _report(file, name)
+        if not references or not report.frames:
+            return report
+        if len(references) != len(report.sensors):
+            raise ConfigError(
+                f"{name}: has {len(report.sensors)} sensors and {len(references)} references; give --reference for "
+                "each sensor, in their order"
+            )
+        sequences = [
+            _opened_reference(each, decoder, number, options) if isinstance(each, str | os.PathLike) else each
+            for number, each in enumerate(references)
+        ]
+        if on_notice is not None:
+            for notice in (notice for sequence in sequences for notice in notices_of(sequence)):
+                on_notice(notice)
+        file.seek(0)
+        return _compared(report, open_stream(file, what=PICTURES), sequences, on_frame)
+
+
+def _opened_reference(
+    folder: str | os.PathLike[str], decoder: Decoder, number: int, options: Sequence[ReferenceOptions]
+) -> FolderSequence:
+    """Open a reference as the user says, else as the recording of the sensor was read, with the stream's cameras."""
+    header = [decoder.header, *decoder.sensors][number]
+    assert header is not None
+    known = KnownCameras(
+        rig=rig_of(header),
+        depth_scale=header.depth_scale,
+        fps=NANOSECONDS * header.period_den / header.period_num,
+    )
+    asked = options[number if len(options) > 1 else 0] if options else {}
+    chosen: dict[str, Any] = {**decoder.input_options.get(number, {}), **asked}
+    return open_sequence(folder, known=known, **chosen)
+
+
+def _listed(reference: Reference | Sequence[Reference] | None) -> Sequence[Reference]:
+    if isinstance(reference, list | tuple):
+        return reference
+    return [] if reference is None else [cast(Reference, reference)]
+
+
+@contextmanager
+def _file(source: StreamSource) -> Iterator[tuple[BinaryIO, str]]:
+    """Open the source as a file that can be read several times, and name it."""
+    if isinstance(source, str | os.PathLike) and os.fspath(source) != STANDARD_INPUT:
+        with _opened(source) as file:
+            yield file, os.fspath(source)
+        return
+    stream = sys.stdin.buffer if isinstance(source, str | os.PathLike) else source
+    with tempfile.TemporaryFile() as copy:
+        shutil.copyfileobj(stream, copy)
+        copy.seek(0)
+        yield copy, "standard input" if stream is not source else "stream"
+
+
+def _opened(path: str | os.PathLike[str]) -> BinaryIO:
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise FormatError(f"{os.fspath(path)}: cannot be opened: {error.strerror}; check the name") from None
+
+
+def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
+    tally, decoder, course = Tally(), Decoder(filmed=False), Course()
+    lookouts: dict[int, Lookout] = {}
+    packets = tally.counted(StreamReader(file, name).records())
+    with suppress(TruncatedStream), errors_named(name):
+        for state in decoder.frames(packets):
+            if state.sensor not in lookouts:
+                lookouts[state.sensor] = Lookout(decoder.rigs[state.sensor])
+            course.add(state, lookouts[state.sensor].visible(decoder.models, state.T_camera_object))
+    if decoder.header is None:
+        raise TruncatedStream(f"{name}: ends before its STREAM packet; nothing can be reported")
+    file_bytes = file.seek(0, os.SEEK_END)
+    objects, frames = _objects(tally, decoder, course), len(course.times_ns)
+    headers: list[StreamHeader | SensorHeader] = [decoder.header, *decoder.sensors]
+    sensors = [_sensor(number, header, course) for number, header in enumerate(headers)]
+    report = StreamStatistics(
+        name=decoder.header.name,
+        complete=decoder.complete,
+        file_bytes=file_bytes,
+        duration_s=max(sensor.duration_s for sensor in sensors),
+        raw_bytes=sum(sensor.raw_bytes for sensor in sensors),
+        packets=tally.packets,
+        objects=objects,
+        per_frame=_per_frame(course, decoder, tally.frame_bytes(frames, file_bytes)),
+        paper=_paper(objects, course, decoder.rigs),
+        sensors=sensors,
+        travel=course.camera_travel(),
+    )
+    return report, decoder
+
+
+def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStatistics]:
+    objects = []
+    for number, model in sorted(decoder.models.items()):
+        spans = course.spans(number)
+        ended = bool(spans) and spans[-1].last < len(course.times_ns) - 1
+        objects.append(
+            ObjectStatistics(
+                id=number,
+                cells=model.cell_count,
+                voxel_size_m=model.voxel_size_m,
+                bytes=tally.object_bytes[number],
+                poses=tally.poses[number],
+                guessed=model.guessed,
+                passing=model.passing,
+                spans=spans,
+                birth=spans[0].first if spans else None,
+                death=spans[-1].last if ended else None,
+                travel=course.object_travel(number, model),
+            )
+        )
+    return objects
+
+
+def _sensor(number: int, header: StreamHeader | SensorHeader, course: Course) -> SensorStatistics:
+    rig, channels, frames = rig_of(header), 1 if header.grey else 3, course.sensors.count(number)
+    raw_bytes = rig.color.width * rig.color.height * channels + rig.depth.width * rig.depth.height * DEPTH_BYTES
+    return SensorStatistics(
+        number=number,
+        name=header.name,
+        frames=frames,
+        duration_s=frames * header.period_num / header.period_den / NANOSECONDS,
+        raw_bytes=frames * raw_bytes,
+    )
+
+
+def _paper(objects: Sequence[ObjectStatistics], course: Course, rigs: Sequence[CameraRig]) -> PaperAccounting:
+    # A single pose only says where an object stands.
+    moving = [item for item in objects if item.poses > 1]
+    return PaperAccounting(
+        cells=sum(item.cells for item in moving),
+        pose_frames=sum(item.poses for item in moving),
+        frames=len(course.sensors),
+        pixels=max(rig.color.width * rig.color.height for rig in rigs),
+    )
+
+
+def _per_frame(course: Course, decoder: Decoder, sizes: Sequence[int]) -> list[FrameStatistics]:
+    told, counts = decoder.report, course.counts(decoder.models)
+    frames = range(len(course.times_ns))
+    entropies = dict(zip(frames, told.entropy_bits, strict=False))
+    status = dict(zip(frames, told.status, strict=False))
+    return [
+        FrameStatistics(
+            frame=frame,
+            timestamp_ns=course.times_ns[frame],
+            bytes=sizes[frame],
+            T_world_camera=course.T_world_camera[frame],
+            visible_objects=counts[frame],
+            entropy_bits=entropies.get(frame),
+            status=status.get(frame),
+            sensor=course.sensors[frame],
+        )
+        for frame in frames
+    ]
+
+
+def _until_cut(stream: Iterable[DecodedFrame]) -> Iterator[DecodedFrame]:
+    """Yield the frames that are there; that a stream is cut short is reported otherwise."""
+    with suppress(TruncatedStream):
+        yield from stream
+
+
+def _compared(
+    report: StreamStatistics,
+    stream: DecodedStream,
+    references: Sequence[FrameSequence],
+    on_frame: Callable[[int], None] | None,
+) -> StreamStatistics:
+    for info, reference in zip(stream.infos, references, strict=True):
+        check_comparable(info, reference.info)
+    # In the coarsest units, in which every sensor's depth fits into 16 bits.
+    comparison = Comparison(depth_scale=min(reference.info.depth_scale for reference in references))
+    counts = [sensor.frames for sensor in report.sensors]
+    for drawn, given in paired(_until_cut(stream), references, counts):
+        comparison.add(drawn, given)
+        if on_frame is not None:
+            on_frame(drawn.index)
+    frames = zip(report.per_frame, comparison.per_frame, strict=True)
+    return replace(
+        report,
+        per_frame=[replace(frame, quality=quality) for frame, quality in frames],
+        camera=comparison.camera(),
+        object_motion=comparison.objects.motion(),
+        reference_objects=comparison.objects.reference(),
+        spurious_objects=comparison.objects.spurious(),
+        quality=comparison.quality(),
+    )

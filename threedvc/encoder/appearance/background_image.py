@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""The picture of a background at rest before a camera at rest (a backdrop), taken from all frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.coding.picture import decode_picture, encode_picture
+from threedvc.config import RenderConfig
+from threedvc.encoder.appearance.color_field import ColorField
+from threedvc.frames.frame import Frame
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose, compose
+from threedvc.render.ray_grid import RayGrid
+from threedvc.render.renderer import Renderer, fill_unknown
+
+__all__ = ["PictureChoice", "background_picture"]
+
+MARGIN_PX = 2
+OUTLIER_LEVELS = 24.0
+LEAST_QUALITY, GREATEST_QUALITY = 4, 96
+
+
+class PictureChoice:
+    """A picture and its codings at different qualities, each made when it is first asked for.
+
+    Parameters
+    ----------
+    picture
+        (h, w, 3) uint8 RGB.
+    grey
+        Whether to code the luma alone.
+    """
+
+    def __init__(self, picture: NDArray[np.uint8], grey: bool) -> None:
+        self.picture, self._grey = picture, grey
+        self._made: dict[tuple[int, bool], tuple[bytes, float]] = {}
+
+    def error(self, shown: NDArray[np.uint8]) -> float:
+        """Return the sum over all pixels of the squared error (mean of the channels) of a picture like this one."""
+        return float(((shown.astype(np.float64) - self.picture) ** 2).mean(axis=2).sum())
+
+    def best(self, price: float) -> tuple[bytes, float]:
+        """Return the payload whose squared error plus `price` for every byte is about least, and that sum."""
+        low, high = LEAST_QUALITY, GREATEST_QUALITY
+        while high - low > 2:
+            third = (high - low) // 3
+            if self._cost(low + third, price) <= self._cost(high - third, price):
+                high -= third
+            else:
+                low += third
+        quality = min(range(low, high + 1), key=lambda each: self._cost(each, price))
+        payload, error = self._coded(quality, thorough=True)
+        return payload, error + price * len(payload)
+
+    def _cost(self, quality: int, price: float) -> float:
+        payload, error = self._coded(quality, thorough=False)
+        return error + price * len(payload)
+
+    def _coded(self, quality: int, *, thorough: bool) -> tuple[bytes, float]:
+        key = quality, thorough
+        if key not in self._made:
+            payload = encode_picture(self.picture, quality, self._grey, thorough=thorough)
+            height, width, _ = self.picture.shape
+            self._made[key] = payload, self.error(decode_picture(payload, width, height, self._grey))
+        return self._made[key]
+
+
+def background_picture(
+    rig: CameraRig,
+    frames: Iterable[tuple[Frame, Mapping[int, Pose], NDArray[np.float32], NDArray[np.float32]]],
+    field: ColorField,
+    threads: int,
+) -> NDArray[np.uint8]:
+    """Average what the colour camera sees where no object is drawn before the background.
+
+    Parameters
+    ----------
+    rig
+        Cameras.
+    frames
+        Frames, with the poses T_camera_object of their objects, and gain and offset (3,) of the colour camera.
+    field
+        The objects.
+    threads
+        Number of threads.
+
+    Returns
+    -------
+    (h, w, 3) uint8 RGB; what no frame shows is interpolated from around.
+    """
+    camera = rig.color
+    rays, renderer = RayGrid(camera), Renderer(rig, RenderConfig(supersample=1, threads=threads))
+    total = np.zeros((camera.height, camera.width, 3))
+    weight = np.zeros((camera.height, camera.width, 1))
+    middle = np.zeros_like(total)
+    chosen = list(frames)
+    for again in (False, True):
+        total[:], weight[:] = 0, 0
+        for frame, poses, gain, offset in chosen:
+            moved = {number: compose(rig.T_color_depth, pose) for number, pose in poses.items()}
+            labels = renderer.cast(rays, field.models, moved)[1].reshape(camera.height, camera.width)
+            hidden = cv2.dilate((labels > 0).astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8))
+            color = (frame.color - offset) / gain
+            share = (hidden == 0)[..., None].astype(np.float64)
+            if again:
+                away = np.abs(color - middle).mean(axis=2, keepdims=True) / OUTLIER_LEVELS
+                share /= (1 + away**2) ** 2
+            total += share * color
+            weight += share
+        middle = total / np.maximum(weight, 1e-9)
+    value, known = middle.astype(np.float32), (weight[..., 0] > 0).astype(np.uint8)
+    fill_unknown(value, known)
+    return np.asarray(np.clip(np.rint(value), 0, 255), dtype=np.uint8)

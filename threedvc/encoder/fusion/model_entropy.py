@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""Entropy of a model: the sum over its cells of H(occupancy) + H(colour), in bits.
+
+The colour of an empty cell means nothing, so H(colour) counts with the probability that the cell is
+occupied (the chain rule of the joint entropy). Blocks that a frame did not touch keep their value.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.kernels.encoder.uncertainty import block_entropies
+from threedvc.model.decoded_model import EvidenceModel
+from threedvc.parallel import for_ranges
+
+__all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "misled_bits"]
+
+LOOK_SPREAD = 8.0
+LOOK_WEIGHT = 0.25
+UNKNOWN_BITS = 8.0
+"""Entropy of a colour channel before the first look."""
+
+
+def channel_bits(weight: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the entropy in bits of a colour channel of cells with colour weights (n,), as the meter counts it."""
+    with np.errstate(divide="ignore"):
+        bits = 0.5 * np.log2(2 * np.pi * np.e * LOOK_SPREAD**2 * LOOK_WEIGHT / np.maximum(weight, 0, dtype=np.float64))
+    return np.asarray(np.clip(bits, 0, UNKNOWN_BITS))
+
+
+def misled_bits(off: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the cross-entropy in bits of a channel against a belief whose mean is off.
+
+    The belief has the deviation of one look; one that is far off costs as many bits as none.
+
+    Parameters
+    ----------
+    off
+        (...) levels by which the believed mean differs from the evidence's.
+    weight
+        (...) colour weight of the evidence.
+    """
+    believed = LOOK_SPREAD**2
+    with np.errstate(divide="ignore"):
+        variance = believed * LOOK_WEIGHT / np.maximum(weight, 0, dtype=np.float64)
+    square = variance + np.square(off, dtype=np.float64)
+    bits = 0.5 * np.log2(2 * np.pi * believed) + square / (2 * np.log(2) * believed)
+    return np.asarray(np.minimum(bits, UNKNOWN_BITS))
+
+
+class EntropyMeter:
+    """Keeps the entropy of one model.
+
+    Parameters
+    ----------
+    model
+        The evidence to measure.
+    """
+
+    def __init__(self, model: EvidenceModel) -> None:
+        self._model = model
+        self._entropies = np.zeros(0)
+
+    @property
+    def bits(self) -> float:
+        """Entropy of the whole model."""
+        return float(self._entropies.sum())
+
+    def update(self, numbers: NDArray[np.int64], threads: int) -> None:
+        """Measure blocks `numbers` (n,) again."""
+        model = self._model
+        if model.index.count > len(self._entropies):
+            self._entropies = np.concatenate([self._entropies, np.zeros(model.index.count - len(self._entropies))])
+        entropies = self._entropies
+
+        def measure(start: int, stop: int) -> None:
+            block_entropies(
+                numbers, start, stop, model.log_odds, model.color_weight, LOOK_WEIGHT, LOOK_SPREAD, entropies
+            )
+
+        for_ranges(measure, len(numbers), threads)

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+"""MAP read-out of an object's evidence, and the choice of what to send (sec. 2.1).
+
+A ray is stopped by the first occupied cell, so only cells at the surface are read out: those nearest to
+a change of sign of the mean signed distance whose log-odds say occupied. The rest of the occupied cells
+can never be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.kernels.encoder.surface import count_neighbours, find_crossings, mark_surface, smooth_distances
+from threedvc.model.block_index import BLOCK_CELLS, morton_keys
+from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.model_update import ModelUpdate
+from threedvc.parallel import for_ranges
+
+__all__ = ["Surface", "changes", "first_sights", "in_regions", "read_surface"]
+
+MIN_WEIGHT = 0.02
+CONFIDENT_LOG_ODDS = 2.0
+EMPTY_LOG_ODDS = -2.0
+MIN_NEIGHBOURS = 3
+SMOOTHING_PASSES = 3
+SMOOTHING_TRUST = 4.0
+"""Precision, in units of the sensor's at 1 m, with which neighbours tell a cell its distance."""
+RECOLOR_LEVELS = 16.0
+REGION_SHIFT = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """Surface cells of an object.
+
+    Attributes
+    ----------
+    cells
+        (n, 3) int32, in Morton order.
+    colors
+        (n, 3) int16 RGB.
+    first_seen
+        (n,) int32 frame in which the cell was first measured.
+    crossings
+        (n, 3) float32 where the surface passes along each axis, from the cell's centre in cells.
+    importance
+        (n,) float32 how much an error of the cell's colour counts, or None: alike.
+    """
+
+    cells: NDArray[np.int32]
+    colors: NDArray[np.int16]
+    first_seen: NDArray[np.int32]
+    crossings: NDArray[np.float32]
+    importance: NDArray[np.float32] | None = None
+
+    def part(self, chosen: NDArray[np.bool_]) -> Surface:
+        """Return the cells where `chosen` (n,) is true."""
+        return Surface(
+            cells=self.cells[chosen],
+            colors=self.colors[chosen],
+            first_seen=self.first_seen[chosen],
+            crossings=self.crossings[chosen],
+            importance=None if self.importance is None else self.importance[chosen],
+        )
+
+    def crossings_of(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return the crossings (n, 3) of some of its cells (n, 3)."""
+        return self.crossings[np.searchsorted(morton_keys(self.cells), morton_keys(cells))]
+
+
+def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0, smooth: bool = False) -> Surface:
+    """Read the surface out of the evidence; specks of fewer than four touching cells are noise.
+
+    Parameters
+    ----------
+    model
+        Evidence of an object.
+    threads
+        Number of threads; the surface does not depend on it.
+    min_log_odds
+        How sure it must be that a surface is there.
+    smooth
+        Whether to straighten it, the more the less often it was measured: what is noise costs bits.
+    """
+    index, count = model.index, model.index.count
+    distance = _smoothed(model, threads) if smooth else model.distance
+    flags = np.zeros((count, BLOCK_CELLS), dtype=np.uint8)
+
+    def mark(start: int, stop: int) -> None:
+        mark_surface(
+            start, stop, index.coords, index.tables, model.voxel_size_m, distance, model.distance_weight,
+            model.log_odds, MIN_WEIGHT, min_log_odds, flags,
+        )  # fmt: skip
+
+    for_ranges(mark, count, threads)
+    cells, positions = index.flagged(flags)
+    neighbours = np.zeros(len(cells), dtype=np.int32)
+    count_neighbours(cells, positions, index.tables, flags.reshape(-1), neighbours)
+    cells, positions = cells[neighbours >= MIN_NEIGHBOURS], positions[neighbours >= MIN_NEIGHBOURS]
+    crossings = np.empty((len(cells), 3), dtype=np.float32)
+    find_crossings(cells, positions, index.tables, distance.reshape(-1), model.distance_weight.reshape(-1), crossings)
+    return Surface(
+        cells=cells,
+        colors=_colors(model, positions),
+        first_seen=model.first_seen.reshape(-1)[positions],
+        crossings=crossings,
+    )
+
+
+def _smoothed(model: EvidenceModel, threads: int) -> NDArray[np.float32]:
+    """Return the mean signed distances (blocks, 512), straightened."""
+    distance = model.distance
+    for _ in range(SMOOTHING_PASSES):
+        smooth = partial(_smooth_range, model, distance, after := np.empty_like(distance))
+        for_ranges(smooth, model.index.count, threads)
+        distance = after
+    return distance
+
+
+def _smooth_range(
+    model: EvidenceModel, before: NDArray[np.float32], after: NDArray[np.float32], start: int, stop: int
+) -> None:
+    smooth_distances(
+        start, stop, model.index.coords, model.index.tables, model.voxel_size_m, before, model.distance_weight,
+        MIN_WEIGHT, SMOOTHING_TRUST, after,
+    )  # fmt: skip
+
+
+def in_regions(surface: Surface) -> Surface:
+    """Let cells of a region of 16x16x16 cells be first seen together, when the first of them is.
+
+    Sent one by one as the view wanders over them they cost 40 % more than all at once, so 7 %.
+    """
+    regions, member = np.unique(surface.cells >> REGION_SHIFT, axis=0, return_inverse=True)
+    first = np.full(len(regions), EvidenceModel.NEVER, dtype=np.int32)
+    np.minimum.at(first, member, surface.first_seen)
+    return replace(surface, first_seen=first[member])
+
+
+def _colors(model: EvidenceModel, positions: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return the mean colours; a cell never seen in colour takes the one before it in Morton order."""
+    colors = np.round(model.color.reshape(-1, 3)[positions]).astype(np.int16)
+    known = model.color_weight.reshape(-1)[positions] > 0
+    if known.all():
+        return colors
+    if not known.any():
+        return np.full_like(colors, 128)
+    nearest = np.maximum.accumulate(np.where(known, np.arange(len(known)), int(np.argmax(known))))
+    return colors[nearest]
+
+
+def first_sights(surface: Surface, sent: DecodedModel, until_frame: int | None) -> ModelUpdate:
+    """Choose the cells first seen before `until_frame` (None: all) that were not sent yet (two-pass)."""
+    due = np.ones(len(surface.cells), dtype=bool) if until_frame is None else surface.first_seen < until_frame
+    due &= ~_is_sent(sent, surface.cells)
+    return _update(surface.part(due), _nothing(), surface.part(np.zeros(len(due), dtype=bool)))
+
+
+def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpdate:
+    """Choose what is worth sending now (live).
+
+    A cell appears when it is confident, or occupied rather than not among confident ones (a threshold for each
+    cell alone leaves holes where the surface passes between two), and no cell within one cell of it was sent
+    (noise makes the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour
+    when the mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the
+    decoded ones a cell would be sent again for its quantisation error.
+    """
+    present = read_surface(model, threads)
+    surface = present.part(_among_sure_ones(present, model, threads))
+    known = _is_sent(sent, surface.cells)
+    near = np.zeros(len(surface.cells), dtype=np.int32)
+    count_neighbours(
+        surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near
+    )
+    moved = np.zeros(len(known), dtype=bool)
+    positions = sent.index.locate(surface.cells[known])
+    drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
+    moved[known] = drift > RECOLOR_LEVELS
+    fresh = ~known & ((near == 0) | _frontier(near))
+    return _update(surface.part(fresh), _vanished(present, model, sent), surface.part(moved))
+
+
+def _among_sure_ones(surface: Surface, model: EvidenceModel, threads: int) -> NDArray[np.bool_]:
+    """Tell which cells (n,) of a surface are confident, or have three confident ones around them."""
+    sure = np.zeros(model.index.count * BLOCK_CELLS, dtype=np.uint8)
+    sure[model.index.locate(read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS).cells)] = 1
+    positions = model.index.locate(surface.cells)
+    around = np.zeros(len(positions), dtype=np.int32)
+    count_neighbours(surface.cells, positions, model.index.tables, sure, around)
+    return np.asarray((sure[positions] != 0) | (around >= MIN_NEIGHBOURS))
+
+
+def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell cells that continue a sent surface at its edge from cells that double it."""
+    return near <= 3
+
+
+def _vanished(present: Surface, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.int32]:
+    """List sent cells that are confidently empty and have no cell of the present surface beside them."""
+    cells, _ = sent.cells()
+    positions = model.index.locate(cells)
+    cells = cells[model.log_odds.reshape(-1)[positions] < EMPTY_LOG_ODDS]
+    flags = np.zeros((model.index.count, BLOCK_CELLS), dtype=np.uint8)
+    flags.reshape(-1)[model.index.locate(present.cells)] = 1
+    beside = np.zeros(len(cells), dtype=np.int32)
+    count_neighbours(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
+    gone = (beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)
+    return np.asarray(cells[gone], dtype=np.int32)
+
+
+def _is_sent(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
+    positions = sent.index.locate(cells)
+    known = positions >= 0
+    known[known] = sent.occupied.reshape(-1)[positions[known]] != 0
+    return known
+
+
+def _nothing() -> NDArray[np.int32]:
+    return np.empty((0, 3), dtype=np.int32)
+
+
+def _update(added: Surface, removed: NDArray[np.int32], recolored: Surface) -> ModelUpdate:
+    return ModelUpdate(
+        added=added.cells,
+        added_colors=added.colors,
+        removed=removed,
+        recolored=recolored.cells,
+        recolored_colors=recolored.colors,
+        importance=None
+        if added.importance is None or recolored.importance is None
+        else np.concatenate([added.importance, recolored.importance]),
+    )

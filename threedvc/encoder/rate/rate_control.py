@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: MIT
+"""Choice of cells and quantisation steps for a quality or a bit rate.
+
+A file's rate is met in two steps: the size of the cells follows from what the first pass would take at a middling
+step, the quantisation step of colours, and with it the quality of a backdrop, from the size of the finished stream
+itself. A live encoder keeps a leaky bucket: what does not fit waits, poses first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import inf
+
+import numpy as np
+
+from threedvc.stream.packets import Packet
+from threedvc.stream.wire import pack_map
+
+__all__ = [
+    "CLOSE",
+    "DEPTH_SHARE",
+    "FINER",
+    "LEAST_STEP",
+    "MIDDLE_STEP",
+    "SHARE_PER_BYTE",
+    "LeakyBucket",
+    "best_cells",
+    "cell_factor",
+    "closest_below",
+    "error_at",
+    "live_cell_factor",
+    "stream_bytes",
+    "surface_room",
+]
+
+MIDDLE_STEP = 16.0
+FRAME_BYTES = 9.0
+HEAD_BYTES = 700.0
+MAX_CELL_FACTOR = 4.0
+WORTHWHILE = 1.08
+PACKET_BYTES, FILE_HEAD_BYTES, ENTRY_BYTES = 28, 11, 6
+LEAST_STEP, GREATEST_STEP = 0.5, 160.0
+TRIALS = 9
+NARROWER = 0.8
+MAX_NARROWINGS = 3
+RISES = 0.4, 1.0
+"""Least and greatest rise of the logarithm of an error as that of the bytes falls."""
+BITS_PER_LIVE_CELL = 6.0
+"""What a live stream sends in its first second over the cells that the surface of the first frame covers: 3.5 bits
+where the camera stands still, 7 where it turns fast."""
+LEAST_LIVE_FACTOR = 0.8
+CLOSE = 0.985
+SHARE_PER_BYTE = 0.4
+"""A share of the bytes of a stream is worth this share of its squared error, as steps of quantisation trade them."""
+DEPTH_SHARE = 0.5
+"""A tenth off the misfit of the depth counts as much as about a fifth of a decibel of colours."""
+FINER = 8.0
+
+
+def stream_bytes(packets: Sequence[Packet]) -> int:
+    """Return about how many bytes packets take in a file, their INDEX included."""
+    bodies = sum(PACKET_BYTES + len(pack_map(packet.header)) + len(packet.payload) for packet in packets)
+    return FILE_HEAD_BYTES + bodies + PACKET_BYTES + ENTRY_BYTES * len(packets)
+
+
+def surface_room(frames: int, target_bytes: float) -> float:
+    """Return how many of the bytes of a file are left for surfaces: each frame takes poses."""
+    return max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, 0.1 * target_bytes)
+
+
+def cell_factor(surface_bytes: int, room_bytes: float) -> float:
+    """Return by how much wider cells must be for surfaces to take a number of bytes.
+
+    Parameters
+    ----------
+    surface_bytes
+        What the surfaces take with the present cells at `MIDDLE_STEP`; they go with the inverse square of the edge.
+    room_bytes
+        What they may take.
+    """
+    factor = float(np.clip(np.sqrt(surface_bytes / room_bytes), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
+    return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
+
+
+def live_cell_factor(cells: float, bytes_per_second: float) -> float:
+    """Return by how much wider cells must be for what the first frame shows to be sent within a second.
+
+    Parameters
+    ----------
+    cells
+        How many of the present cells its surface would cover if it faced the camera.
+    bytes_per_second
+        The rate.
+    """
+    factor = np.sqrt(cells * BITS_PER_LIVE_CELL / 8 / bytes_per_second)
+    return float(np.clip(factor, LEAST_LIVE_FACTOR, MAX_CELL_FACTOR))
+
+
+def best_cells(error_of: Callable[[float], float]) -> float:
+    """Find by how much wider cells should be, first trying narrower ones, and if they are no better wider ones.
+
+    Parameters
+    ----------
+    error_of
+        Gives the error with cells wider by a factor.
+
+    Returns
+    -------
+    float
+        The factor of the least error; between those tried, where a parabola through the best and its neighbours has
+        its least value.
+    """
+    errors = {0: error_of(1.0), 1: error_of(NARROWER)}
+    while min(errors, key=errors.__getitem__) == max(errors) < MAX_NARROWINGS:
+        power = max(errors) + 1
+        errors[power] = error_of(NARROWER**power)
+    if errors[0] <= errors[1]:
+        errors[-1] = error_of(1 / NARROWER)
+    best = min(errors, key=errors.__getitem__)
+    wider, narrower = errors.get(best - 1, inf), errors.get(best + 1, inf)
+    bend = wider + narrower - 2 * errors[best]
+    beside = 0.5 * (wider - narrower) / bend if 0 < bend < inf else 0.0
+    factor = float(NARROWER ** (best + beside))
+    return factor if max(factor, 1 / factor) > WORTHWHILE**0.5 else 1.0
+
+
+def error_at(room_bytes: float, sizes: Sequence[int], errors: Sequence[float]) -> float:
+    """Return the error at a number of bytes, linear in their logarithm between given sizes, which ascend.
+
+    Below the least size it rises about as between the first two, which say little where they hardly differ; beyond
+    the greatest it stays.
+    """
+    logs = np.maximum.accumulate(np.log(sizes))
+    if room_bytes < sizes[0]:
+        apart = logs[1] - logs[0]
+        rise = (errors[0] - errors[1]) / apart if apart > 0 else 0.0
+        return float(errors[0] + np.clip(rise, *RISES) * (logs[0] - np.log(room_bytes)))
+    return float(np.interp(np.log(room_bytes), logs, errors))
+
+
+def closest_below(
+    size_of: Callable[[float], int],
+    target_bytes: float,
+    steps: tuple[float, float] = (LEAST_STEP, GREATEST_STEP),
+) -> tuple[float, int]:
+    """Find the largest size of at most `target_bytes`, or the smallest there is, by bisection of the step.
+
+    Parameters
+    ----------
+    size_of
+        Gives the size for a quantisation step; sizes fall as steps rise.
+    target_bytes
+        Wanted size.
+    steps
+        Least and greatest step.
+
+    Returns
+    -------
+    step, size
+        The step chosen, and the size it gives.
+    """
+    low, high = np.log2(steps)
+    step = np.log2(MIDDLE_STEP) if low < np.log2(MIDDLE_STEP) < high else (low + high) / 2
+    tried: list[tuple[float, int]] = []
+    for _ in range(TRIALS):
+        size = size_of(float(2**step))
+        tried.append((float(2**step), size))
+        if size > target_bytes:
+            low = step
+        else:
+            high = step
+            if size > CLOSE * target_bytes:
+                break
+        step = (low + high) / 2
+    fitting = [each for each in tried if each[1] <= target_bytes]
+    return max(fitting, key=lambda each: each[1]) if fitting else min(tried, key=lambda each: each[1])
+
+
+class LeakyBucket:
+    """How many bytes a live stream may still take.
+
+    Parameters
+    ----------
+    bytes_per_second
+        The rate.
+    buffer_s
+        So many seconds' worth may be sent at once; the stream starts with a full buffer.
+    """
+
+    def __init__(self, bytes_per_second: float, buffer_s: float) -> None:
+        self._rate = bytes_per_second
+        self._size = bytes_per_second * buffer_s
+        self.room = self._size
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.room = min(self.room + self.refill(seconds), self._size)
+
+    def refill(self, seconds: float) -> float:
+        """Return how many bytes a time adds while the buffer is not full."""
+        return self._rate * seconds
+
+    def take(self, count: int) -> None:
+        """Note that bytes were sent."""
+        self.room -= count

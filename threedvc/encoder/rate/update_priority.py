@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Which part of a model update goes first when not all of it fits: what lifts most ignorance per bit.
+
+The ignorance of a receiver about a cell is the cross-entropy, in bits, of the evidence against what the receiver
+believes. Of a cell that was never sent it believes nothing: occupancy is equiprobable, and so are the 256 levels of
+each channel. Of a cell that was sent it believes what it draws: that it is occupied, as surely as evidence can tell,
+and of its colour, known as well as after one look of weight 1/4; a colour further off than that costs as much as none.
+Once the cell is sent, the entropy of the evidence is left, H(occupancy) + H(colour), see
+`threedvc.encoder.fusion.model_entropy`. The difference, a Kullback-Leibler divergence, is what sending it lifts. A
+receiver looks at the present picture, so what was not in the field of view lately counts less.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.config import FusionConfig
+from threedvc.encoder.fusion.model_entropy import UNKNOWN_BITS, channel_bits, misled_bits
+from threedvc.metrics.picture_quality import bernoulli_entropy_bits
+from threedvc.model.block_index import BLOCK_CELLS
+from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.model_update import ModelUpdate
+
+__all__ = ["best_part", "bits_lifted", "bits_taken"]
+
+CHANNELS = 3
+SURE_LOG_ODDS = FusionConfig().max_log_odds
+OUT_OF_SIGHT = 0.1
+"""How much a bit counts that the present picture does not show."""
+BLOCK_BITS, ADDED_BITS = 40.0, 2.0
+REMOVED_BITS, RECOLORED_BITS = 6.0, 5.5
+"""About what a block with new cells takes, and each cell: by hand, after fits to parts of updates of recorded rooms."""
+
+
+def bits_lifted(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.float64]:
+    """Return by how much sending each cell lessens what a receiver does not know.
+
+    Parameters
+    ----------
+    update
+        The cells.
+    model
+        Evidence about them.
+    sent
+        What the receiver has.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n,) float64 bits of the added, then the removed, then the recoloured cells; none is below 0.
+    """
+    cells = _cells(update)
+    positions = model.index.locate(cells)
+    log_odds = model.log_odds.reshape(-1)[positions].astype(np.float64)
+    weight = model.color_weight.reshape(-1)[positions]
+    occupied = 1 / (1 + np.exp(-log_odds))
+    before, color = np.ones(len(cells)), np.full(len(cells), CHANNELS * UNKNOWN_BITS)
+    held = slice(len(update.added), None)
+    before[held] = (np.logaddexp(0, SURE_LOG_ODDS) - occupied[held] * SURE_LOG_ODDS) / np.log(2)
+    off = model.color.reshape(-1, CHANNELS)[positions[held]] - _held_colors(sent, cells[held])
+    color[held] = misled_bits(off, weight[held, None]).sum(axis=1)
+    lifted = before - bernoulli_entropy_bits(log_odds) + occupied * (color - CHANNELS * channel_bits(weight))
+    return np.asarray(np.maximum(lifted, 0.0))
+
+
+def bits_taken(update: ModelUpdate, member: NDArray[np.int64], blocks: int) -> NDArray[np.float64]:
+    """Estimate the bits (blocks,) that the cells of each block take.
+
+    New cells cost a place for their block, and little each once that is told; cells that are there already cost
+    no geometry.
+
+    Parameters
+    ----------
+    update
+        The cells.
+    member
+        (n,) number of the block of each added, removed and recoloured cell.
+    blocks
+        Number of blocks.
+    """
+    counts = [len(group) for group in (update.added, update.removed, update.recolored)]
+    added, removed, recolored = (
+        np.bincount(part, minlength=blocks) for part in np.split(member, np.cumsum(counts)[:-1])
+    )
+    return np.asarray(
+        BLOCK_BITS * (added > 0) + ADDED_BITS * added + REMOVED_BITS * removed + RECOLORED_BITS * recolored
+    )
+
+
+def best_part(
+    update: ModelUpdate,
+    model: EvidenceModel,
+    sent: DecodedModel,
+    share: float,
+    in_sight: NDArray[np.bool_],
+) -> ModelUpdate:
+    """Return the part of an update that lifts most ignorance per bit, of at most about a share of its bits.
+
+    Parameters
+    ----------
+    update
+        What could be sent.
+    model
+        Evidence about its cells.
+    sent
+        What the receiver has.
+    share
+        How much of the update's coded size may be taken; blocks of 8x8x8 cells are taken whole.
+    in_sight
+        (blocks of the evidence,) which blocks were in the field of view lately.
+    """
+    positions = model.index.locate(_cells(update))
+    numbers, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
+    lifted = np.bincount(member, bits_lifted(update, model, sent), minlength=len(numbers))
+    lifted *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
+    taken = bits_taken(update, member, len(numbers))
+    order = np.argsort(-lifted / taken, kind="stable")
+    chosen = np.zeros(len(numbers), dtype=bool)
+    chosen[order[np.cumsum(taken[order]) <= share * taken.sum()]] = True
+    return _part(update, chosen[member])
+
+
+def _cells(update: ModelUpdate) -> NDArray[np.int32]:
+    return np.concatenate([update.added, update.removed, update.recolored])
+
+
+def _held_colors(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.int16]:
+    return np.asarray(sent.color.reshape(-1, CHANNELS)[sent.index.locate(cells)])
+
+
+def _part(update: ModelUpdate, keep: NDArray[np.bool_]) -> ModelUpdate:
+    """Return the cells of an update where `keep` (n,), of added, removed and recoloured ones, is true."""
+    counts = [len(group) for group in (update.added, update.removed, update.recolored)]
+    added, removed, recolored = np.split(keep, np.cumsum(counts)[:-1])
+    colored = np.concatenate([added, recolored])
+    return ModelUpdate(
+        added=update.added[added],
+        added_colors=update.added_colors[added],
+        removed=update.removed[removed],
+        recolored=update.recolored[recolored],
+        recolored_colors=update.recolored_colors[recolored],
+        importance=None if update.importance is None else update.importance[colored],
+    )

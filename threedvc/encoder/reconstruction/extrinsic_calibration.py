@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""Where sensors are mounted, corrected by what they see in common.
+
+Extrinsics are measured by hand or by a calibration of long ago: an error of a degree draws every surface twice. The
+frames of the first sensor make a model; those of another one are registered with it, each at its pose, and the motion
+that all of them ask for, weighed by how surely each tells it, is the error of its mounting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.encoder.fusion.integration import fuse, observe
+from threedvc.encoder.reconstruction.pose_graph import twist_of
+from threedvc.encoder.reconstruction.pose_refinement import mean_misfit
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.tracking.alignment import Alignment
+from threedvc.encoder.tracking.initial_poses import register_from_starts
+from threedvc.encoder.tracking.model_view import cast_view
+from threedvc.encoder.tracking.registration import RegistrationConfig, Status
+from threedvc.frames.frame import FrameSequence, SequenceInfo
+from threedvc.geometry.pose import Pose, compose, inverse, make_pose, orthonormalised, rotation_from_vector
+from threedvc.model.decoded_model import EvidenceModel
+
+__all__ = ["mounted_info"]
+
+MODEL_FRAMES, COMPARED_FRAMES = 120, 30
+LEAST_FRAMES = 4
+ROUNDS = 3
+LEAST_OVERLAP = 0.2
+OUTLIER = 3.0
+"""Corrections that lie further from all than this many times their median distance do not count."""
+WORTHWHILE = 0.97
+"""Part of the misfit that another mounting must leave at most."""
+BY_DEPTH = RegistrationConfig(luma_weight=0.1)
+"""Sensors see colours each in its own way, and calibration of the colour cameras comes later."""
+
+Doubles = NDArray[np.float64]
+
+
+class _Said(NamedTuple):
+    """What one frame says: the correction of the mounting (turn, shift) (6,), how surely (6, 6)."""
+
+    twist: Doubles
+    information: Doubles
+
+
+def mounted_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
+    """Return the sequence with sensors mounted where their frames fit those of the first one; None: as they are.
+
+    Only the background counts. A sensor that sees nothing that the first one has seen stays as it is.
+    """
+    info = scene.info
+    if not info.sensors:
+        return None
+    model = _first_model(scene, frames)
+    rigs = list(info.rigs)
+    for sensor in range(1, len(rigs)):
+        chosen = _chosen(scene, sensor, COMPARED_FRAMES)
+        before = _misfit(scene, frames, chosen, model, rigs[sensor].T_depth_base)
+        mount = rigs[sensor].T_depth_base
+        for _ in range(ROUNDS):
+            mount = _corrected(scene, frames, chosen, model, mount)
+        if _misfit(scene, frames, chosen, model, mount) < WORTHWHILE * before:
+            rigs[sensor] = replace(rigs[sensor], T_depth_base=mount)
+    same = all(one is other for one, other in zip(rigs, info.rigs, strict=True))
+    return None if same else info.with_rigs(rigs)
+
+
+def _chosen(scene: Scene, sensor: int, most: int) -> list[int]:
+    """Return frames of a sensor in which the background was found, spread over time."""
+    found = scene.objects[0].found
+    taken = [
+        frame
+        for frame, at in enumerate(found)
+        if at is not None and at.usable and scene.sensors[frame] == sensor and not scene.repeated[frame]
+    ]
+    return taken[:: max(1, -(-len(taken) // most))]
+
+
+def _first_model(scene: Scene, frames: FrameSequence) -> EvidenceModel:
+    """Return a model of the background as the first sensor has seen it."""
+    item, rig, threads = scene.objects[0], scene.info.rig, scene.config.threads
+    model, rays = EvidenceModel(item.evidence.voxel_size_m), rig.depth.rays()
+    for number in _chosen(scene, 0, MODEL_FRAMES):
+        frame, at = scene.limited(frames[number]), item.found[number]
+        assert at is not None
+        mask, seen = scene.labels(frame) == 0, observe(frame, rig, rays)
+        fuse(model, seen, mask, at.T_camera_object, scene.sensor_of(0), scene.config.fusion, threads)
+    return model
+
+
+def _corrected(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> Pose:
+    """Return a mounting corrected once by what frames of its sensor ask for."""
+    said = [each for number in chosen if (each := _said(scene, frames, number, model, mount)) is not None]
+    if len(said) < LEAST_FRAMES:
+        return mount
+    middle = np.median([each.twist for each in said], axis=0)
+    away = np.array([float(np.linalg.norm(each.twist - middle)) for each in said])
+    kept = [each for each, far in zip(said, away, strict=True) if far <= OUTLIER * np.median(away) + 1e-9]
+    matrix = np.sum([each.information for each in kept], axis=0)
+    side = np.sum([each.information @ each.twist for each in kept], axis=0)
+    twist = np.linalg.solve(matrix + 1e-6 * np.trace(matrix) * np.eye(6), side).astype(np.float64)
+    return orthonormalised(compose(make_pose(rotation_from_vector(twist[:3]), twist[3:]), mount))
+
+
+def _said(scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel, mount: Pose) -> _Said | None:
+    """Register a frame with the model, and return how its sensor should be moved for it to fit; None if it is lost."""
+    at = scene.objects[0].found[number]
+    assert at is not None
+    frame = scene.limited(frames[number])
+    views, mask = scene.views(frame), scene.labels(frame) == 0
+    form, threads, sigma_m = views.form(mask), scene.config.threads, scene.sensor_of(frame.sensor).sigma_m
+    guess = compose(mount, at.T_camera_object)
+    view = cast_view(model, form, guess, threads, exact=True)
+    seen = form.thin(frame.depth), views.luma(form), form.thin(mask), form.camera
+    found = register_from_starts(*seen, view, guess, sigma_m=sigma_m, config=BY_DEPTH, threads=threads)
+    if found.status is Status.LOST or found.overlap < LEAST_OVERLAP:
+        return None
+    information = Alignment(*seen, view, sigma_m, BY_DEPTH, threads).information(found.T_camera_object)
+    return None if information is None else _Said(twist_of(found.T_camera_object @ inverse(guess)), information)
+
+
+def _misfit(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> float:
+    """Return the `mean_misfit` of frames of a sensor with the model, if the sensor were mounted so."""
+    pictures = []
+    for number in chosen:
+        at = scene.objects[0].found[number]
+        assert at is not None
+        frame = scene.limited(frames[number])
+        mask = scene.labels(frame) == 0
+        form = scene.views(frame).form(mask)
+        guess = compose(mount, at.T_camera_object)
+        view = cast_view(model, form, guess, scene.config.threads, exact=True)
+        pictures.append((view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))))
+    return mean_misfit(pictures)

@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: MIT
+"""What enters the encoder: frames, and what is known about a whole sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.errors import ConfigError, SequenceError
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose, is_rigid
+from threedvc.stream.input_options import InputOptions
+
+__all__ = [
+    "NANOSECONDS",
+    "FactualSequence",
+    "Frame",
+    "FrameFacts",
+    "FrameSequence",
+    "SensorInfo",
+    "SequenceInfo",
+    "ThinnedSequence",
+    "check_frame",
+    "facts_of",
+    "moments",
+    "spread_step",
+]
+
+NANOSECONDS = 1_000_000_000
+LEAST_UNEVEN_STEP = 7
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """One RGB-D frame.
+
+    Attributes
+    ----------
+    index
+        Position in the encoded sequence, from 0.
+    timestamp_ns
+        Time of the depth picture, nanoseconds.
+    color
+        (height, width, 3) uint8 RGB in the colour camera; grey input has three equal channels.
+    depth
+        (height, width) float32 metres along z in the depth camera; 0 = no measurement.
+    mask
+        (height, width) uint8 object labels in the depth camera, 0 = background, or None.
+    T_world_camera
+        Known pose of the depth camera, or None.
+    T_camera_object
+        Known poses of labelled objects, by label.
+    color_timestamp_ns
+        Time of the colour picture where it has a clock of its own, else None.
+    sensor
+        Which of several sensors took it, from 0.
+    together
+        Whether it was taken at the same moment as the frame before, by another sensor: both share all poses.
+    """
+
+    index: int
+    timestamp_ns: int
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    mask: NDArray[np.uint8] | None = None
+    T_world_camera: Pose | None = None
+    T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
+    color_timestamp_ns: int | None = None
+    sensor: int = 0
+    together: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorInfo:
+    """What holds for every frame of one of several sensors.
+
+    Attributes
+    ----------
+    name
+        Name for messages and reports.
+    rig
+        Its cameras, and how they are mounted.
+    depth_scale, fps, grey, read_as
+        As in `SequenceInfo`.
+    """
+
+    name: str
+    rig: CameraRig
+    depth_scale: float
+    fps: float
+    grey: bool = False
+    read_as: InputOptions = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SequenceInfo:
+    """What holds for every frame of a sequence.
+
+    Attributes
+    ----------
+    name
+        Name for messages and reports.
+    rig
+        Cameras; those of the first sensor where there are several.
+    depth_scale
+        Units per metre of the 16-bit depth pictures; decoded depth is written at this scale.
+    fps
+        Nominal frame rate, of all sensors together.
+    frame_count
+        Number of frames, or None for a live source.
+    grey
+        Whether the colour pictures have one channel.
+    has_camera_poses, has_object_poses, has_masks
+        What the frames carry.
+    read_as
+        Options that the recording was read with where its user gave any, see `threedvc.stream.input_options`.
+    sensors
+        All sensors, the first one included, where there are several; else empty.
+    """
+
+    name: str
+    rig: CameraRig
+    depth_scale: float
+    fps: float
+    frame_count: int | None
+    grey: bool = False
+    has_camera_poses: bool = False
+    has_object_poses: bool = False
+    has_masks: bool = False
+    read_as: InputOptions = field(default_factory=dict)
+    sensors: tuple[SensorInfo, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.depth_scale) and self.depth_scale > 0):
+            raise ConfigError(f"depth scale {self.depth_scale} must be a positive number of units per metre")
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise ConfigError(f"frame rate {self.fps} must be a positive number of frames per second")
+
+    @property
+    def each_sensor(self) -> tuple[SensorInfo, ...]:
+        """All sensors, also if there is but one."""
+        if self.sensors:
+            return self.sensors
+        names = ("name", "rig", "depth_scale", "fps", "grey", "read_as")
+        return (SensorInfo(**{name: getattr(self, name) for name in names}),)
+
+    @property
+    def rigs(self) -> tuple[CameraRig, ...]:
+        """Cameras of every sensor."""
+        return tuple(sensor.rig for sensor in self.sensors) or (self.rig,)
+
+    def with_rigs(self, rigs: Sequence[CameraRig]) -> SequenceInfo:
+        """Return the same with other cameras of every sensor."""
+        sensors = tuple(replace(sensor, rig=rig) for sensor, rig in zip(self.sensors, rigs, strict=bool(self.sensors)))
+        return replace(self, rig=rigs[0], sensors=sensors)
+
+
+def check_frame(frame: Frame, info: SequenceInfo) -> None:
+    """Check that pictures have the sizes of their cameras, and that poses are rigid.
+
+    Raises
+    ------
+    SequenceError
+        Naming the frame, if one is not so.
+    """
+    place = f"{info.name}: frame {frame.index}"
+    if not 0 <= frame.sensor < len(info.rigs):
+        raise SequenceError(f"{place} is of sensor {frame.sensor}, but there are {len(info.rigs)}; number them from 0")
+    rig = info.rigs[frame.sensor]
+    for name, picture, channels, camera in (
+        ("colour", frame.color, (3,), rig.color),
+        ("depth", frame.depth, (), rig.depth),
+    ):
+        if picture.shape != (camera.height, camera.width, *channels):
+            raise SequenceError(
+                f"{place} has {name} of shape {picture.shape}, its camera asks for"
+                f" {(camera.height, camera.width, *channels)}; give frames and intrinsics of one size"
+            )
+    if frame.T_world_camera is not None and not is_rigid(frame.T_world_camera):
+        raise SequenceError(
+            f"{place} has a camera pose that is not a rigid transform; correct it or use --motion track"
+        )
+    for number, pose in frame.T_camera_object.items():
+        if not is_rigid(pose):
+            raise SequenceError(f"{place} has a pose of object {number} that is not a rigid transform; correct it")
+
+
+class FrameSequence(Protocol):
+    """A source of frames; it can be read more than once."""
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What holds for every frame."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int) -> Frame: ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+
+def moments(frames: Iterable[Frame], info: SequenceInfo) -> Iterator[list[Frame]]:
+    """Yield the frames of each moment: one, or those that several sensors took together."""
+    if not info.sensors:
+        yield from ([frame] for frame in frames)
+        return
+    moment: list[Frame] = []
+    for frame in frames:
+        if moment and not frame.together:
+            yield moment
+            moment = []
+        moment.append(frame)
+    if moment:
+        yield moment
+
+
+def spread_step(count: int, most: int, info: SequenceInfo) -> int:
+    """Return n such that every n-th of `count` frames is at most `most` of them, and all sensors are among them.
+
+    Sensors take turns in some short cycle; a prime that is longer than usual cycles meets all of them.
+    """
+    step = max(1, -(-count // most))
+    if step == 1 or not info.sensors:
+        return step
+    step = max(step, LEAST_UNEVEN_STEP)
+    while any(step % divisor == 0 for divisor in range(2, int(step**0.5) + 1)):
+        step += 1
+    return step
+
+
+class FrameFacts(Protocol):
+    """What is known of a frame without a look at its pictures; see `Frame`."""
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Time of the depth picture."""
+        ...
+
+    @property
+    def T_world_camera(self) -> Pose | None:
+        """Known pose of the depth camera, or None."""
+        ...
+
+    @property
+    def T_camera_object(self) -> Mapping[int, Pose]:
+        """Known poses of labelled objects."""
+        ...
+
+
+@runtime_checkable
+class FactualSequence(Protocol):
+    """A source of frames that knows facts about all of them beforehand."""
+
+    def facts(self) -> Sequence[FrameFacts]:
+        """Return what is known of each frame."""
+        ...
+
+
+def facts_of(frames: FrameSequence) -> Sequence[FrameFacts]:
+    """Return what is known of each frame; a source that does not know it beforehand is read once."""
+    if isinstance(frames, FactualSequence):
+        return frames.facts()
+    unseen = np.zeros((0, 0), np.uint8)
+    return [replace(frame, color=unseen, depth=unseen.astype(np.float32), mask=None) for frame in frames]
+
+
+class ThinnedSequence:
+    """Every n-th frame of a sequence, numbered through.
+
+    Parameters
+    ----------
+    frames
+        The sequence.
+    step
+        n.
+    """
+
+    def __init__(self, frames: FrameSequence, step: int) -> None:
+        self._frames, self._step = frames, step
+
+    @property
+    def info(self) -> SequenceInfo:
+        """What holds for every frame."""
+        return self._frames.info
+
+    def __len__(self) -> int:
+        return -(-len(self._frames) // self._step)
+
+    def __getitem__(self, index: int) -> Frame:
+        frame = self._frames[index * self._step]
+        return replace(frame, index=index, together=frame.together and self._step == 1)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[index] for index in range(len(self)))

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Kernels that only the encoder needs."""

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: MIT
+"""Integration of one RGB-D frame into the evidence of one object (sec. 2.3).
+
+Work goes block by block: the ray of a cell is the one through its centre, so that every cell reads
+the state before the frame and writes only its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threedvc.kernels import kernel
+from threedvc.kernels.blocks import find_cell
+from threedvc.kernels.encoder.ray_update import cell_update
+
+__all__ = ["fuse_color", "integrate_depth", "mark_blocks", "project_point", "sensor_sigma", "visible_blocks"]
+
+MAX_WINDOW = 64
+BEYOND_BORDER = 0.02
+
+
+@kernel
+def project_point(x, y, z, camera):
+    """Project a point in camera coordinates to distorted pixel coordinates (u, v)."""
+    a, b = x / z, y / z
+    r2 = a * a + b * b
+    radial = 1.0 + r2 * (camera[4] + r2 * (camera[5] + r2 * camera[8]))
+    u = a * radial + 2.0 * camera[6] * a * b + camera[7] * (r2 + 2.0 * a * a)
+    v = b * radial + camera[6] * (r2 + 2.0 * b * b) + 2.0 * camera[7] * a * b
+    return camera[0] * u + camera[2], camera[1] * v + camera[3]
+
+
+@kernel
+def sensor_sigma(z, sensor):
+    """Return the axial deviation in metres at depth z, see `threedvc.frames.sensor_model`."""
+    axial = sensor[0] + z * (sensor[1] + z * sensor[2])
+    rounding = sensor[3] * z * z
+    return np.sqrt(axial * axial + rounding * rounding / 12.0)
+
+
+@kernel
+def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, band_sigmas, keys):
+    """List blocks that measured surfaces may touch, as packed keys with few repetitions; return how many.
+
+    A key is ``(x + 2^20) | (y + 2^20) << 21 | (z + 2^20) << 42`` of block coordinates, which are clamped to
+    +-2^20, far beyond what the index accepts; `keys` is int64 with room for ``5 * pixels`` entries.
+    """
+    count = 0
+    size = voxel_size * 8.0
+    for v in range(0, depth.shape[0], stride):
+        for u in range(0, depth.shape[1], stride):
+            z = depth[v, u]
+            if z <= 0.0 or not mask[v, u]:
+                continue
+            band = max(band_sigmas * sensor_sigma(z, sensor), 2.0 * voxel_size)
+            for step in range(-2, 3):
+                t = z + 0.5 * step * band
+                x, y = rays[v, u, 0] * t, rays[v, u, 1] * t
+                key = np.int64(0)
+                for axis in range(3):
+                    row = T_object_camera[axis]
+                    place = row[0] * x + row[1] * y + row[2] * t + row[3]
+                    block = min(max(np.floor(place / size), -1048576.0), 1048575.0)
+                    key |= (np.int64(block) + 1048576) << (21 * axis)
+                fresh = True
+                for back in range(1, min(count, 8) + 1):
+                    if keys[count - back] == key:
+                        fresh = False
+                        break
+                if fresh:
+                    keys[count] = key
+                    count += 1
+    return count
+
+
+@kernel
+def visible_blocks(coords, count, voxel_size, T_camera_object, camera, width, height, far, numbers):
+    """List the numbers of blocks whose bounding sphere can be seen nearer than `far`; return how many."""
+    found = 0
+    radius = 8.0 * voxel_size * 0.8661
+    for b in range(count):
+        cx = (coords[b, 0] * 8 + 4) * voxel_size
+        cy = (coords[b, 1] * 8 + 4) * voxel_size
+        cz = (coords[b, 2] * 8 + 4) * voxel_size
+        T = T_camera_object
+        z = T[2, 0] * cx + T[2, 1] * cy + T[2, 2] * cz + T[2, 3]
+        if z < -radius or z > far + radius:
+            continue
+        if z > 2.0 * radius:
+            x = T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3]
+            y = T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3]
+            reach_x = 1.5 * camera[0] * radius / (z - radius) + 2.0
+            reach_y = 1.5 * camera[1] * radius / (z - radius) + 2.0
+            u, v = camera[0] * x / z + camera[2], camera[1] * y / z + camera[3]
+            slack_u, slack_v = 0.25 * width * camera[9], 0.25 * height * camera[9]
+            if u < -reach_x - slack_u or u > width + reach_x + slack_u:
+                continue
+            if v < -reach_y - slack_v or v > height + reach_y + slack_v:
+                continue
+        numbers[found] = b
+        found += 1
+    return found
+
+
+@kernel
+def ray_window_update(
+    x, y, z, reading, sigma, T_object_camera, voxel_size, outlier, tables, log_odds, odds, likelihood
+):
+    """Return the log-odds change of the cell at (x, y, z) in camera coordinates given a reading along its ray.
+
+    The sum of eq. (6) runs over the cells of the ray from the cell itself, or the front end of the
+    window around the reading, to the window's back end, at the spacing of the tessellation.
+    """
+    root_origin, root, supers = tables
+    sx, sy = x / z, y / z
+    step = voxel_size / np.sqrt(sx * sx + sy * sy + 1.0)
+    window = 3.0 * sigma + step
+    first = -np.int64(min(max(np.ceil((z - (reading - window)) / step), 0.0), 30.0))
+    last = np.int64(min(max(np.ceil((reading + window - z) / step), 0.0), 30.0))
+    n = last - first + 1
+    for k in range(n):
+        t = z + (first + k) * step
+        d = (reading - t) / sigma
+        likelihood[k] = (1.0 - outlier) * np.exp(-0.5 * d * d) + outlier
+        px, py = sx * t, sy * t
+        T = T_object_camera
+        cell = find_cell(
+            np.int64(np.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * t + T[0, 3]) / voxel_size)),
+            np.int64(np.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * t + T[1, 3]) / voxel_size)),
+            np.int64(np.floor((T[2, 0] * px + T[2, 1] * py + T[2, 2] * t + T[2, 3]) / voxel_size)),
+            root_origin,
+            root,
+            supers,
+        )
+        odds[k] = log_odds[cell] if cell >= 0 else 0.0
+    return cell_update(odds, likelihood, outlier, n, -first)
+
+
+@kernel
+def integrate_depth(
+    numbers, start, stop, coords, voxel_size, T_camera_object, T_object_camera, camera, depth, mask,
+    sensor, band_sigmas, free_log_odds, tables, log_odds, delta, distance, weight, first_seen, frame,
+):  # fmt: skip
+    """Update occupancy, signed distance and first sight of the cells of blocks ``numbers[start:stop]``.
+
+    `delta` (len(numbers), 512) receives the change of the log-odds; the caller adds it when all
+    blocks are done, so that every ray sum sees the state before the frame.
+    """
+    odds = np.empty(MAX_WINDOW)
+    likelihood = np.empty(MAX_WINDOW)
+    flat = log_odds.reshape(-1)
+    T = T_camera_object
+    for n in range(start, stop):
+        b = numbers[n]
+        for i in range(512):
+            delta[n, i] = 0.0
+            px = (coords[b, 0] * 8 + (i & 7) + 0.5) * voxel_size
+            py = (coords[b, 1] * 8 + ((i >> 3) & 7) + 0.5) * voxel_size
+            pz = (coords[b, 2] * 8 + (i >> 6) + 0.5) * voxel_size
+            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            if z <= 0.01:
+                continue
+            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+            fu, fv = project_point(x, y, z, camera)
+            u, v = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
+            share = 1.0
+            if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0]:
+                # Surfaces go on for a cell beyond the border, lest they end before it; better views outweigh that.
+                near = voxel_size * camera[0] / z
+                u, v = min(max(u, 0), depth.shape[1] - 1), min(max(v, 0), depth.shape[0] - 1)
+                if max(abs(fu - u), abs(fv - v)) > near:
+                    continue
+                share = BEYOND_BORDER
+            reading = np.float64(depth[v, u])
+            if reading <= 0.0:
+                continue
+            sigma = sensor_sigma(reading, sensor)
+            spread = np.sqrt(sigma * sigma + voxel_size * voxel_size / 12.0)
+            band = max(band_sigmas * sigma, 2.0 * voxel_size)
+            away = reading - z
+            if away < -band or (not mask[v, u] and away < band):
+                continue
+            precision = (0.001 + 0.0012) * (0.001 + 0.0012) / ((0.001 + sigma) * (0.001 + sigma))
+            if away > band:
+                delta[n, i] = free_log_odds
+            else:
+                delta[n, i] = ray_window_update(
+                    x, y, z, reading, spread, T_object_camera, voxel_size, sensor[4], tables, flat, odds, likelihood
+                )
+                if frame < first_seen[b, i]:
+                    first_seen[b, i] = frame
+            delta[n, i] *= share
+            precision *= share
+            total = weight[b, i] + precision
+            distance[b, i] += np.float32((min(away, band) - distance[b, i]) * precision / total)
+            weight[b, i] = min(total, 200.0)
+
+
+@kernel
+def sample_image(level, u, v, channel):
+    """Sample an image (h, w, 3) bilinearly at (u, v), clamped at its border."""
+    height, width = level.shape[0], level.shape[1]
+    u = min(max(u, 0.0), width - 1.0)
+    v = min(max(v, 0.0), height - 1.0)
+    i, j = min(np.int64(v), max(height - 2, 0)), min(np.int64(u), max(width - 2, 0))
+    k, m = min(i + 1, height - 1), min(j + 1, width - 1)
+    a, b = v - i, u - j
+    top = level[i, j, channel] * (1.0 - b) + level[i, m, channel] * b
+    bottom = level[k, j, channel] * (1.0 - b) + level[k, m, channel] * b
+    return top * (1.0 - a) + bottom * a
+
+
+@kernel
+def fuse_color(
+    numbers, start, stop, coords, voxel_size, T_camera_object, T_color_depth, depth_camera, color_camera,
+    depth, confidence, sensor, levels, color, weight,
+):  # fmt: skip
+    """Update the colour of cells near the measured surface in blocks ``numbers[start:stop]``.
+
+    `levels` is a pyramid of float32 RGB pictures, each half the size of the one before; a cell takes its
+    colour from the level whose pixels are just finer than the cell appears. `confidence` (h, w) float32
+    in the depth camera weighs viewing angle and depth edges.
+    """
+    T, E = T_camera_object, T_color_depth
+    for n in range(start, stop):
+        b = numbers[n]
+        for i in range(512):
+            px = (coords[b, 0] * 8 + (i & 7) + 0.5) * voxel_size
+            py = (coords[b, 1] * 8 + ((i >> 3) & 7) + 0.5) * voxel_size
+            pz = (coords[b, 2] * 8 + (i >> 6) + 0.5) * voxel_size
+            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            if z <= 0.01:
+                continue
+            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+            fu, fv = project_point(x, y, z, depth_camera)
+            u, v = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
+            if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0] or confidence[v, u] <= 0.0:
+                continue
+            reading = np.float64(depth[v, u])
+            reach = max(2.0 * sensor_sigma(reading, sensor), 1.5 * voxel_size)
+            if reading <= 0.0 or abs(reading - z) > reach:
+                continue
+            cx = E[0, 0] * x + E[0, 1] * y + E[0, 2] * z + E[0, 3]
+            cy = E[1, 0] * x + E[1, 1] * y + E[1, 2] * z + E[1, 3]
+            cz = E[2, 0] * x + E[2, 1] * y + E[2, 2] * z + E[2, 3]
+            if cz <= 0.01:
+                continue
+            gu, gv = project_point(cx, cy, cz, color_camera)
+            full = levels[0].shape
+            if gu < -0.5 or gv < -0.5 or gu > full[1] - 0.5 or gv > full[0] - 0.5:
+                continue
+            level, scale = 0, 1.0
+            while level + 1 < len(levels) and 2.0 * scale * cz <= voxel_size * color_camera[0]:
+                level, scale = level + 1, scale * 2.0
+            gain = np.float64(confidence[v, u]) / (z * z)
+            total = weight[b, i] + gain
+            for c in range(3):
+                seen = sample_image(levels[level], (gu + 0.5) / scale - 0.5, (gv + 0.5) / scale - 0.5, c)
+                color[b, i, c] += np.float32((seen - color[b, i, c]) * gain / total)
+            weight[b, i] = min(total, 1e4)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Kernels of ray casting and pictures."""

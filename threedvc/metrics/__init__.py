@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Quality of pictures, depth and trajectories, and entropy."""

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""Depth as it was filmed, where rigid models cannot tell it: what a frame of a depth video shows.
+
+Sensors that guess between few measurements give a surface another shape in every frame. The stream may carry a video
+of such depth beside the models: small pictures in logarithmic units, which stand for drawn depth in frames as filmed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.kernels.render.depth_video import magnify
+from threedvc.parallel import for_ranges
+
+__all__ = ["LEVELS", "FilmedDepth", "depth_levels"]
+
+LEVELS = 256
+EDGE = 1.1
+"""Samples that differ by more than this factor lie on different surfaces."""
+
+
+def depth_levels(nearest_m: float, ratio: float) -> NDArray[np.float64]:
+    """Return the depths (256,) in metres of sample values, each `ratio` times the one before."""
+    return np.multiply.accumulate(np.concatenate([[nearest_m], np.full(LEVELS - 1, ratio)]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FilmedDepth:
+    """The depth of one frame.
+
+    Attributes
+    ----------
+    samples
+        (rows, columns) uint8, which cover the picture of the depth camera.
+    levels
+        (256,) float64 metres: what their values mean.
+    complete
+        Whether something is everywhere, also where nothing is drawn.
+    """
+
+    samples: NDArray[np.uint8]
+    levels: NDArray[np.float64]
+    complete: bool
+
+    def shown(self, drawn: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
+        """Return the depth (h, w) in metres of a frame for which the models' (h, w) is drawn; 0 = nothing there."""
+        result = np.empty_like(drawn)
+
+        def row_range(start: int, stop: int) -> None:
+            magnify(start, stop, self.samples, self.levels, EDGE, self.complete, drawn, result)
+
+        for_ranges(row_range, len(drawn), threads)
+        return result

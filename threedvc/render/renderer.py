@@ -1,0 +1,430 @@
+# SPDX-License-Identifier: MIT
+"""Redraw a frame: first-opacity ray casting of all objects at their poses, composited by depth.
+
+Both sides run this on decoded models. Only + - * /, sqrt and floor are used, rays are independent of
+each other, and colours are summed in a fixed order: the pictures are the same on every machine and
+for any number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.config import RenderConfig
+from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.pose import Pose, compose, identity, inverse
+from threedvc.kernels.render.hole_filling import pull, push
+from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
+from threedvc.kernels.render.raycast import OPACITY, cast_rays
+from threedvc.kernels.render.render_blocks import build_block
+from threedvc.kernels.render.shading import relight, round_colors, shade, shade_from_picture
+from threedvc.model.block_index import BLOCK_CELLS, BlockIndex
+from threedvc.model.decoded_model import DecodedModel, shifted_blocks
+from threedvc.model.post_filter import PictureFilter, kinds_of_pixels
+from threedvc.model.texture import ColorGrid
+from threedvc.parallel import for_ranges
+from threedvc.render.ray_grid import RayGrid, cells_from_camera
+
+__all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unknown"]
+
+Scalar = TypeVar("Scalar", np.float32, np.uint8)
+
+BORDERED_CELLS = 9**3
+SMALL_PICTURE = 320 * 240
+SAME_PLACE = 1e-9
+INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
+    1: (interpolate_diamonds, 4, 4),
+    2: (interpolate_centres, 2, 4),
+    3: (interpolate_diamonds, 2, 2),
+    4: (interpolate_between, 1, 2),
+}
+"""How rays of each but the first of `RayGrid.levels` are interpolated, how far from others, and in every which row."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Backdrop:
+    """A picture that colours the background.
+
+    Attributes
+    ----------
+    picture
+        (h, w, 3) uint8 RGB.
+    camera
+        The camera that sees it.
+    T_camera_world
+        Pose of that camera.
+    """
+
+    picture: NDArray[np.uint8]
+    camera: Camera
+    T_camera_world: Pose
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Light:
+    """Light on an object.
+
+    Attributes
+    ----------
+    factors
+        (8,) float64, see `threedvc.kernels.render.shading.light_basis`.
+    R_world_object
+        (3, 3) turn of the object in the world, where the light stands still.
+    """
+
+    factors: NDArray[np.float64]
+    R_world_object: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Picture:
+    """A drawn frame.
+
+    Attributes
+    ----------
+    color
+        (h, w, 3) uint8 RGB in the colour camera.
+    depth
+        (h, w) float32 metres in the depth camera, 0 = nothing there.
+    labels
+        (h, w) uint8 object numbers in the depth camera, 0 = background or nothing.
+    kinds
+        (h, w) uint8 kinds of the colour picture's pixels, see `threedvc.model.post_filter`; None without a filter.
+    """
+
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+    kinds: NDArray[np.uint8] | None = None
+
+
+class RenderModel:
+    """A decoded model in the form that rays walk through; kept up to date by `refresh`."""
+
+    def __init__(self, model: DecodedModel) -> None:
+        self.model = model
+        self.index = BlockIndex()
+        self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.corners = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
+        self._version = 0
+
+    def refresh(self, threads: int) -> None:
+        """Rebuild the blocks around everything that changed since the last call."""
+        model = self.model
+        model.fit_planes(threads)
+        changed, self._version = model.changed_since(self._version), model.version
+        if not len(changed):
+            return
+        around = shifted_blocks(changed, (-1, 0, 1))
+        here = around[model.index.locate(around * 8) >= 0]
+        self._build(shifted_blocks(here, (-1, 0)), threads)
+
+    def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
+        skip = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
+        corners = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
+        plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
+        targets = np.arange(len(blocks))
+        model = self.model
+
+        def block_range(start: int, stop: int) -> None:
+            build_block(
+                targets, blocks, start, stop, model.index.tables, model.occupied, model.planes, skip, corners,
+                plane,
+            )  # fmt: skip
+
+        for_ranges(block_range, len(blocks), threads)
+        keep = (skip == 0).any(axis=1) | (self.index.locate(blocks * 8) >= 0)
+        self.index.insert(blocks[keep])
+        self._grow()
+        slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
+        self.skip[slots], self.corners[slots], self.plane[slots] = skip[keep], corners[keep], plane[keep]
+
+    def _grow(self) -> None:
+        more = max(self.index.count, len(self.skip) * 3 // 2) - len(self.skip)
+        if self.index.count <= len(self.skip):
+            return
+        for name in ("skip", "corners", "plane"):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
+
+
+class Renderer:
+    """Draws models for one rig; keeps the rays of its cameras.
+
+    Parameters
+    ----------
+    rig
+        Cameras of the pictures to draw.
+    config
+        See `RenderConfig`.
+    """
+
+    def __init__(self, rig: CameraRig, config: RenderConfig | None = None) -> None:
+        self.rig = rig
+        self.config = config or RenderConfig()
+        small = rig.color.width * rig.color.height <= SMALL_PICTURE
+        self.supersample = self.config.supersample or (2 if small else 1)
+        self._depth_rays = RayGrid(rig.depth, 1)
+        one_cast = rig.registered and self.supersample == 1
+        self._color_rays = self._depth_rays if one_cast else RayGrid(rig.color, self.supersample)
+
+    def draw(
+        self,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        *,
+        color: bool = True,
+        gain: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
+        T_shifted_camera: Pose | None = None,
+        backdrop: Backdrop | None = None,
+        lights: Mapping[int, Light] | None = None,
+        filters: PictureFilter | None = None,
+    ) -> Picture:
+        """Draw one frame.
+
+        Parameters
+        ----------
+        models
+            Objects by number, refreshed.
+        poses
+            T_camera_object of every object to draw, for the depth camera.
+        color
+            False leaves the colour picture black and saves its rays.
+        gain
+            Gain and offset (3,) float32 of each channel, applied to the drawn colours; None: none.
+        T_shifted_camera
+            Shift of the depth camera between depth and colour picture; None: none.
+        backdrop
+            A picture that colours object 0 where it shows it; None: none.
+        lights
+            Light on objects, by number; the others look the same from all sides.
+        filters
+            Filter of the colour picture, of which the parts that `RenderConfig` names are applied; None: none.
+
+        Returns
+        -------
+        Picture
+            Pixels that no ray of theirs finds an object for have depth 0; their colour is interpolated
+            from around.
+        """
+        rig, rays = self.rig, self._depth_rays
+        depth, labels = self.cast(rays, models, poses)
+        picture = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
+        met: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
+        kinds = None
+        still = T_shifted_camera is None or np.array_equal(T_shifted_camera, identity())
+        if color and still and self._color_rays is rays:
+            met = self.cast_guessed(rays, models, poses, depth, labels)
+            picture = self._pixels(*self._shade(rays, models, poses, *met, backdrop, lights or {}), gain)
+        elif color:
+            T = rig.T_color_depth if T_shifted_camera is None else compose(rig.T_color_depth, T_shifted_camera)
+            moved = {number: compose(T, poses[number]) for number in poses}
+            met = self.cast_guessed(self._color_rays, models, moved, *self.cast(self._color_rays, models, moved))
+            picture = self._pixels(*self._shade(self._color_rays, models, moved, *met, backdrop, lights or {}), gain)
+        if filters is not None and met is not None:
+            depths, numbers = self._first_rays(met[0]), self._first_rays(met[1])
+            kinds = kinds_of_pixels(depths, numbers, backdrop is not None)
+            picture = filters.of(self.config.filter_parts).apply(picture, kinds, self.config.threads)
+        shape = (rig.depth.height, rig.depth.width)
+        return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape), kinds=kinds)
+
+    def cast(
+        self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose]
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Find what every ray meets first.
+
+        One ray of 32 is cast at first, then those between that cannot be interpolated, see `RayGrid.levels`.
+
+        Returns
+        -------
+        depth
+            (rays,) metres along z, 0 where nothing is met.
+        labels
+            (rays,) numbers of the objects.
+        """
+        count = len(rays.slopes)
+        depth = np.zeros(count, dtype=np.float32)
+        labels = np.zeros(count, dtype=np.uint8)
+        casts = [
+            self._caster(rays, models[number], number, poses[number], depth, labels)
+            for number in sorted(poses)
+            if models[number].index.count and not models[number].model.guessed
+        ]
+        wanted = np.ones(count, dtype=np.uint8)
+        for level, order in enumerate(rays.levels):
+            if level:
+                self._interpolate(level, rays, depth, labels, wanted)
+            for cast in casts:
+                cast(order[wanted[order] != 0])
+        return depth, labels
+
+    def _interpolate(
+        self,
+        level: int,
+        rays: RayGrid,
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+        wanted: NDArray[np.uint8],
+    ) -> None:
+        """Interpolate rays of a level amid those of the levels before, and tell in `wanted` which have to be cast."""
+        interpolate, reach, spacing = INTERPOLATIONS[level]
+
+        def row_range(start: int, stop: int) -> None:
+            interpolate(start, stop, rays.width, rays.height, reach, depth, labels, wanted)
+
+        for_ranges(row_range, rays.height // spacing + 1, self.config.threads)
+
+    def cast_guessed(
+        self,
+        rays: RayGrid,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return what `cast` has found, and guessed objects where it has found nothing."""
+        guessed = [number for number in sorted(poses) if models[number].model.guessed and models[number].index.count]
+        if not guessed:
+            return depth, labels
+        depth, labels = depth.copy(), labels.copy()
+        rest = rays.order[depth[rays.order] == 0]
+        for number in guessed:
+            self._caster(rays, models[number], number, poses[number], depth, labels)(rest)
+        return depth, labels
+
+    def _caster(
+        self,
+        rays: RayGrid,
+        model: RenderModel,
+        number: int,
+        pose: Pose,
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+    ) -> Callable[[NDArray[np.int64]], None]:
+        """Return a function that casts the rays of given numbers into one object."""
+        T_cells_camera = cells_from_camera(pose, model.model.voxel_size_m)
+        near, far = rays.ranges(model.index, pose, model.model.voxel_size_m)
+
+        def cast(order: NDArray[np.int64]) -> None:
+            def ray_range(start: int, stop: int) -> None:
+                cast_rays(
+                    rays.slopes, order, start, stop, T_cells_camera, rays.origin, rays.size, near, far,
+                    model.index.tables, model.skip, model.corners, model.plane, number, OPACITY, depth, labels,
+                )  # fmt: skip
+
+            for_ranges(ray_range, len(order), self.config.threads)
+
+        return cast
+
+    def _shade(
+        self,
+        rays: RayGrid,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+        backdrop: Backdrop | None,
+        lights: Mapping[int, Light],
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return colours (rays, 3) and which of them are known (rays,): those of rays that met a coloured cell."""
+        color, known = np.zeros((len(depth), 3), dtype=np.float32), np.zeros(len(depth), dtype=np.uint8)
+        if backdrop is not None:
+            T_picture_camera = compose(backdrop.T_camera_world, inverse(poses.get(0, identity())))
+            beyond = bool(np.abs(T_picture_camera - np.eye(4)).max() < SAME_PLACE)
+
+            def picture_range(start: int, stop: int) -> None:
+                shade_from_picture(
+                    start, stop, rays.slopes, depth, labels, T_picture_camera[:3], backdrop.camera.parameters(),
+                    backdrop.picture, beyond, color, known,
+                )  # fmt: skip
+
+            for_ranges(picture_range, len(depth), self.config.threads)
+        for number in sorted(poses):
+            for grid in models[number].model.color_grids():
+                T = cells_from_camera(poses[number], grid.cell_size_m)
+
+                def ray_range(start: int, stop: int, grid: ColorGrid = grid, T: Pose = T, number: int = number) -> None:
+                    shade(
+                        start, stop, rays.slopes, depth, labels, number, T, grid.tables, grid.colored, grid.colors,
+                        color, known,
+                    )  # fmt: skip
+
+                for_ranges(ray_range, len(depth), self.config.threads)
+            if number in lights:
+                self._relight(rays, models[number].model, number, poses[number], lights[number], depth, labels, color)
+        return color, known
+
+    def _relight(
+        self,
+        rays: RayGrid,
+        model: DecodedModel,
+        number: int,
+        pose: Pose,
+        light: Light,
+        depth: NDArray[np.float32],
+        labels: NDArray[np.uint8],
+        color: NDArray[np.float32],
+    ) -> None:
+        T = cells_from_camera(pose, model.voxel_size_m)
+
+        def ray_range(start: int, stop: int) -> None:
+            relight(
+                start, stop, rays.slopes, depth, labels, number, T, light.R_world_object, light.factors,
+                model.index.tables, model.occupied.reshape(-1), model.planes.reshape(-1, 4), color,
+            )  # fmt: skip
+
+        for_ranges(ray_range, len(depth), self.config.threads)
+
+    def _first_rays(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Return of values of the colour rays (rays,) those of every pixel's first one (h, w)."""
+        camera, s = self.rig.color, self.supersample
+        return np.ascontiguousarray(values.reshape(camera.height, s, camera.width, s)[:, 0, :, 0])
+
+    def _pixels(
+        self,
+        color: NDArray[np.float32],
+        known: NDArray[np.uint8],
+        gain: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
+    ) -> NDArray[np.uint8]:
+        """Average the rays of each pixel and fill what none of them hit."""
+        camera, s = self.rig.color, self.supersample
+        if s == 1:
+            value: NDArray[np.float32] = color.reshape(camera.height, camera.width, 3)
+            known = known.reshape(camera.height, camera.width)
+        else:
+            shade = color.reshape(camera.height, s, camera.width, s, 3)
+            hits = known.astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
+            rays = [(i, j) for i in range(s) for j in range(s)]
+            weight = np.zeros((camera.height, camera.width, 1), np.float32)
+            total = np.zeros((camera.height, camera.width, 3), np.float32)
+            for i, j in rays:
+                weight += hits[:, i, :, j]
+                total += shade[:, i, :, j]
+            value = np.asarray(total / np.maximum(weight, np.float32(1)), dtype=np.float32)
+            known = (weight[..., 0] > 0).astype(np.uint8)
+        fill_unknown(value, known)
+        factor, offset = gain or (np.ones(3, np.float32), np.zeros(3, np.float32))
+        picture = np.empty(value.shape, dtype=np.uint8)
+
+        def row_range(start: int, stop: int) -> None:
+            round_colors(start, stop, value, factor, offset, picture)
+
+        for_ranges(row_range, len(value), self.config.threads)
+        return picture
+
+
+def fill_unknown(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:
+    """Fill pixels (h, w, 3) where `known` (h, w) is 0 from ever coarser levels (pull-push)."""
+    if known.all() or value.shape[0] * value.shape[1] == 1:
+        return
+    height, width = -(-value.shape[0] // 2), -(-value.shape[1] // 2)
+    coarse, coarse_known = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.uint8)
+    pull(value, known, coarse, coarse_known)
+    fill_unknown(coarse, coarse_known)
+    push(value, known, coarse)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""The syntax of a stream: packets, their headers, batches."""

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: MIT
+"""What the encoder tells about its work, frame by frame, and its compact form in a META packet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, groupby, pairwise
+
+import numpy as np
+import zstandard
+
+from threedvc.errors import CorruptStream, LimitExceeded
+from threedvc.limits import MAX_COUNT
+from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.wire import ByteReader, pack_signed_varint, pack_varint
+
+__all__ = ["REPORT_KIND", "FrameReport", "StreamReport", "report_packet", "unpack_report"]
+
+REPORT_KIND = "report"
+STEPS_PER_OCTAVE = 32
+STATUSES = ("known", "tracked", "weak", "lost", "relocalised")
+MAX_REPORT_BYTES = 8 * MAX_COUNT
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameReport:
+    """One frame as the encoder saw it.
+
+    Attributes
+    ----------
+    index, timestamp_ns
+        Which frame.
+    status
+        Worst outcome of finding the objects: ``known``, ``tracked``, ``relocalised``, ``weak`` or ``lost``.
+    entropy_bits
+        Entropy of all models after the frame.
+    bytes_so_far
+        Bytes of the stream written up to now; 0 while a two-pass encoder is still fusing.
+    seconds
+        Time since encoding began.
+    """
+
+    index: int
+    timestamp_ns: int
+    status: str
+    entropy_bits: float
+    bytes_so_far: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamReport:
+    """Entropy in bits and status of consecutive frames, as the stream keeps them."""
+
+    entropy_bits: tuple[float, ...]
+    status: tuple[str, ...]
+
+
+def report_packet(frames: Sequence[FrameReport]) -> Packet:
+    """Pack consecutive frames into an ancillary packet: statuses as runs, entropies to 2 %.
+
+    Raises
+    ------
+    LimitExceeded
+        If there are more than `MAX_COUNT` frames.
+    """
+    if len(frames) > MAX_COUNT:
+        raise LimitExceeded(f"a report of {len(frames)} frames is longer than {MAX_COUNT}; divide it")
+    levels = [round(STEPS_PER_OCTAVE * float(np.log2(max(frame.entropy_bits, 1.0)))) for frame in frames]
+    steps = [later - earlier for earlier, later in pairwise([0, *levels])]
+    runs = [(STATUSES.index(status), len(list(group))) for status, group in groupby(frame.status for frame in frames)]
+    parts = [pack_varint(len(frames)), pack_varint(len(runs))]
+    parts += [pack_varint(code) + pack_varint(count) for code, count in runs]
+    parts += [pack_signed_varint(step) for step in steps]
+    payload = zstandard.ZstdCompressor(level=19).compress(b"".join(parts))
+    return Packet(type=PacketType.META, header={"k": REPORT_KIND}, payload=payload, critical=False)
+
+
+def unpack_report(packet: Packet) -> StreamReport | None:
+    """Read a packet made by `report_packet`; None if it is another kind of META.
+
+    Raises
+    ------
+    CorruptStream
+        If the payload is malformed.
+    """
+    if packet.header.get("k") != REPORT_KIND:
+        return None
+    reader = ByteReader(_decompressed(packet.payload))
+    count, runs = reader.varint(), reader.varint()
+    if count > MAX_COUNT or runs > count:
+        raise CorruptStream(f"the encoder's report of {count} frames in {runs} runs is impossible")
+    status: list[str] = []
+    for _ in range(runs):
+        code, length = reader.varint(), reader.varint()
+        if code >= len(STATUSES) or not 0 < length <= count - len(status):
+            raise CorruptStream(f"the encoder's report has a run of {length} frames of status {code}")
+        status += [STATUSES[code]] * length
+    levels = list(accumulate(reader.signed_varint() for _ in range(len(status))))
+    if len(status) != count or reader.remaining or not all(0 <= level < 64 * STEPS_PER_OCTAVE for level in levels):
+        raise CorruptStream(f"the encoder's report of {count} frames is not complete")
+    bits = tuple(float(2 ** (level / STEPS_PER_OCTAVE)) for level in levels)
+    return StreamReport(entropy_bits=bits, status=tuple(status))
+
+
+def _decompressed(payload: bytes) -> bytes:
+    try:
+        # The size that the Zstandard frame states rules its allocation, whatever limit is passed.
+        size = zstandard.frame_content_size(payload)
+        if not 0 <= size <= MAX_REPORT_BYTES:
+            told = f"states {size} bytes" if size > 0 else "does not state its size"
+            raise CorruptStream(f"the encoder's report {told}, at most {MAX_REPORT_BYTES} are accepted")
+        return zstandard.ZstdDecompressor().decompress(payload, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise CorruptStream(f"the encoder's report cannot be read: {error}") from None

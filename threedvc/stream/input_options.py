@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""How a recording was read where its user said so, in META packets, so that it can be read in the same way again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TypeAlias
+
+from threedvc.limits import MAX_SENSORS
+from threedvc.stream.packets import Packet, PacketType
+
+__all__ = ["InputOptions", "input_options_packet", "unpack_input_options"]
+
+InputOptions: TypeAlias = Mapping[str, str | float]
+"""Options of the reader by name: ``layout``, ``color``, ``depth``, ``poses`` (texts), ``depth_scale`` (per metre)."""
+
+KIND = "input"
+SENSOR = "s"
+TEXTS = ("layout", "color", "depth", "poses")
+NUMBERS = ("depth_scale",)
+MAX_TEXT = 255
+
+
+def input_options_packet(sensor: int, options: InputOptions) -> Packet:
+    """Pack the options that the recording of a sensor was read with."""
+    header = {"k": KIND, **({SENSOR: sensor} if sensor else {}), **options}
+    return Packet(type=PacketType.META, header=header, payload=b"", critical=False)
+
+
+def unpack_input_options(packet: Packet) -> tuple[int, InputOptions] | None:
+    """Return the sensor and the options of a packet made by `input_options_packet`, None for another kind of META.
+
+    What is no such option is passed over: a stream may be newer, or damaged on purpose.
+    """
+    sensor = packet.header.get(SENSOR, 0)
+    if packet.header.get("k") != KIND or not isinstance(sensor, int) or not 0 <= sensor < MAX_SENSORS:
+        return None
+    options: dict[str, str | float] = {}
+    for name, value in packet.header.items():
+        if name in TEXTS and isinstance(value, str) and len(value) <= MAX_TEXT:
+            options[name] = value
+        elif name in NUMBERS and isinstance(value, int | float) and math.isfinite(value) and value > 0:
+            options[name] = float(value)
+    return sensor, options
