@@ -23,15 +23,16 @@ from spheres import Spheres, View, draw, spheres_of_cells
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.pipeline.encoder import Encoder
-from threedvc.encoder.reconstruction.scene import SceneObject
+from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.formats.container import open_output
 from threedvc.formats.decoding import open_stream
 from threedvc.formats.evaluation.statistics import statistics
 from threedvc.formats.sinks.plain import PlainSink
 from threedvc.formats.sources import open_sequence
-from threedvc.frames.frame import FrameSequence
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import rotation_from_vector
-from threedvc.metrics.picture_quality import DepthErrors, depth_units, psnr
+from threedvc.metrics.depth_errors import DepthErrors, depth_units
+from threedvc.metrics.picture_quality import psnr
 from threedvc.parallel import default_threads
 from threedvc.stream.frame_report import FrameReport
 from threedvc.synthesis import SyntheticSequence, make_scene

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reporting import commit, markdown_table
-from threedvc.formats.evaluation.statistics import StreamStatistics
+from threedvc.formats.evaluation.report import StreamStatistics
 from threedvc.geometry.pose import Pose
-from threedvc.metrics.picture_quality import DepthErrors, PaperAccounting
+from threedvc.metrics.depth_errors import DepthErrors
+from threedvc.metrics.paper_accounting import PaperAccounting
 
 __all__ = ["BACKGROUND", "CASES", "EARLY", "OBJECT", "PAPER_CELLS", "Case", "Result", "Snapshot", "report"]
 

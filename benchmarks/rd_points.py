@@ -26,11 +26,12 @@ from threedvc.cli.main import main as command
 from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.frames.frame import SequenceInfo
-from threedvc.metrics.picture_quality import ColorQuality, DepthErrors, depth_units, mean_color_quality
+from threedvc.metrics.depth_errors import DepthErrors, depth_units
+from threedvc.metrics.picture_quality import ColorQuality, mean_color_quality
+from threedvc.units import MILLIMETRES
 
 __all__ = ["RUNS", "Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
 
-MILLIMETRES = 1000.0
 RATES = (8.0, 16.0, 32.0, 64.0)
 """Rates in kbit/s of a sequence that `RUNS` does not name: the codec is made for 5 to 64."""
 RUNS = (

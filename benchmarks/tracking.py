@@ -25,7 +25,8 @@ from rd import recorded
 from rd_points import Recording
 from reporting import commit, markdown_table
 from threedvc.config import Motion
-from threedvc.encoder.reconstruction.scene import Scene, SceneObject
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.metrics.trajectory import object_pose_error, trajectory_error

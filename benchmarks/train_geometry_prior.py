@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from threedvc.arrays import Floats
 from threedvc.coding.morton import Cube, morton_codes
 from threedvc.coding.octree import Octree, TreeWalk
 from threedvc.kernels.coding.geometry_prior import (
@@ -56,7 +57,6 @@ WEIGHTS = (
 )
 '''
 
-Floats = NDArray[np.float32]
 Rng = np.random.Generator
 
 

@@ -29,8 +29,8 @@ from threedvc.errors import SequenceError
 
 if TYPE_CHECKING:
     from threedvc.config import EncoderConfig
-    from threedvc.formats.decoding import EncodeReport
-    from threedvc.frames.frame import FrameSequence
+    from threedvc.formats.encoding import EncodeReport
+    from threedvc.frames.sequence import FrameSequence
 
 __all__ = ["encode"]
 
@@ -97,7 +97,7 @@ def encode(
     Several sensors that are mounted together have a folder each, INPUT and --input; options from --layout to --fps
     and --sensor are then given once, or once for each sensor in their order.
     """
-    from threedvc.formats import decoding as api
+    from threedvc.formats import encoding
     from threedvc.formats.container import check_output
 
     if as_json and output == STANDARD_OUTPUT:
@@ -114,7 +114,7 @@ def encode(
         progress = opened.enter_context(Progress("encode", info.frame_count, info.fps))
         stop = opened.enter_context(stop_on_signals()) if live else None
         try:
-            report = api.encode(
+            report = encoding.encode(
                 sequence,
                 output,
                 config,

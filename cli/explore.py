@@ -15,7 +15,7 @@ from threedvc.cli.progress import Progress
 
 if TYPE_CHECKING:
     from threedvc.formats.view_planning import Exploration, ExploredObject
-    from threedvc.view_planning.targets import Proposal
+    from threedvc.view_planning.planner import Proposal
 
 __all__ = ["explore"]
 

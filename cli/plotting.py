@@ -16,7 +16,7 @@ from threedvc.formats.outputs import write_output
 
 if TYPE_CHECKING:
     from threedvc.formats.evaluation.frame_ranges import Span
-    from threedvc.formats.evaluation.statistics import StreamStatistics
+    from threedvc.formats.evaluation.report import StreamStatistics
 
 __all__ = ["check_plotting", "is_plot", "plot_statistics"]
 

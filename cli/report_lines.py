@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from threedvc.formats.evaluation.frame_ranges import Span
     from threedvc.formats.evaluation.object_comparison import ObjectQuality
-    from threedvc.formats.evaluation.statistics import ObjectStatistics, StreamStatistics
+    from threedvc.formats.evaluation.report import ObjectStatistics, StreamStatistics
     from threedvc.metrics.trajectory import ObjectPoseError, TrajectoryError, Travel
 
 __all__ = ["report_lines"]

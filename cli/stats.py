@@ -18,7 +18,7 @@ from threedvc.cli.report_lines import report_lines
 from threedvc.formats.outputs import Kind, check_target, is_direct, write_output
 
 if TYPE_CHECKING:
-    from threedvc.formats.evaluation.statistics import FrameStatistics
+    from threedvc.formats.evaluation.report import FrameStatistics
 
 __all__ = ["stats"]
 

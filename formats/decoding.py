@@ -4,166 +4,35 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain, islice, takewhile
-from typing import BinaryIO, overload
+from itertools import chain, islice
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.gains import apply_gain
-from threedvc.config import EncoderConfig, RenderConfig
-from threedvc.decoder.decoder import Decoder, FrameState
-from threedvc.decoder.sensor_state import rig_of
-from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.config import RenderConfig
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
-from threedvc.formats.container import open_input, open_output
-from threedvc.formats.pose_check import settle_poses
-from threedvc.formats.sources import open_sequence
-from threedvc.formats.sources.notices import Notice, notices_of
-from threedvc.frames.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo
+from threedvc.formats.container import open_input
+from threedvc.frames.frame import SequenceInfo
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse
-from threedvc.render.renderer import Picture, Renderer, RenderModel
-from threedvc.stream.frame_report import FrameReport
-from threedvc.stream.packets import Packet, PacketType, SensorHeader, StreamHeader
+from threedvc.render.picture import Picture
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
+from threedvc.stream.headers import SensorHeader, StreamHeader
+from threedvc.stream.packets import PacketType
+from threedvc.stream.sensor_description import rig_of
+from threedvc.units import NANOSECONDS
 
-__all__ = ["DecodedFrame", "DecodedStream", "EncodeReport", "decode", "encode", "errors_named", "open_stream"]
+__all__ = ["DecodedFrame", "DecodedStream", "decode", "errors_named", "open_stream"]
 
 EVERYTHING = frozenset({"color", "depth", "labels"})
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EncodeReport(Sequence[FrameReport]):
-    """What encoding came to; as a sequence, one report for each frame.
-
-    Attributes
-    ----------
-    file_bytes, duration_s
-        Size of the stream and length of the sequence.
-    seconds
-        Time it took.
-    voxel_size_m
-        Cell of the first object.
-    digest
-        Digest of the decoded models.
-    notices
-        What was decided about the recording, and doubts.
-    """
-
-    reports: tuple[FrameReport, ...]
-    file_bytes: int
-    duration_s: float
-    seconds: float
-    voxel_size_m: float
-    digest: bytes
-    notices: tuple[Notice, ...] = ()
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return len(self.reports)
-
-    @property
-    def lost_frames(self) -> tuple[int, ...]:
-        """Frames in which an object could not be found."""
-        return tuple(report.index for report in self.reports if report.status == "lost")
-
-    def __len__(self) -> int:
-        return len(self.reports)
-
-    @overload
-    def __getitem__(self, index: int) -> FrameReport: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[FrameReport]: ...
-    def __getitem__(self, index: int | slice) -> FrameReport | Sequence[FrameReport]:
-        return self.reports[index]
-
-
-def encode(
-    source: str | os.PathLike[str] | FrameSequence,
-    output: str | os.PathLike[str] | BinaryIO,
-    config: EncoderConfig | None = None,
-    *,
-    verify: bool = False,
-    force: bool = False,
-    on_frame: Callable[[FrameReport], None] | None = None,
-    on_notice: Callable[[Notice], None] | None = None,
-    stop: Callable[[], bool] | None = None,
-) -> EncodeReport:
-    """Encode a sequence of RGB-D frames.
-
-    Parameters
-    ----------
-    source
-        A folder in a layout that `open_sequence` knows, or a sequence.
-    output
-        A file name, ``-`` for standard output, or a binary stream.
-    config
-        Choices; None: defaults.
-    verify
-        Decode what is written, and fail if the decoder arrives at another model.
-    force
-        Whether a file that is no stream may be replaced.
-    on_frame
-        Called after each frame is fused.
-    on_notice
-        Called with each decision about the recording and each doubt, before the first frame is fused.
-    stop
-        Asked before each frame of a live encode: whether the stream is to end with those before it.
-
-    Returns
-    -------
-    EncodeReport
-        A sequence of the frames' reports, with totals.
-
-    Raises
-    ------
-    SequenceError
-        If the input is missing or implausible, or its poses are asked for and contradict its depth.
-    OutputError
-        If the output cannot be written.
-    """
-    sequence = open_sequence(source) if isinstance(source, str | os.PathLike) else source
-    began = time.perf_counter()
-    settled = settle_poses(sequence, config or EncoderConfig())
-    notices = (*notices_of(sequence), *settled.notices)
-    if on_notice is not None:
-        for notice in notices:
-            on_notice(notice)
-    sequence, info = settled.frames, settled.frames.info
-    encoder = Encoder(info, settled.config)
-    written = 0
-
-    def report(frame: FrameReport) -> None:
-        if on_frame is not None:
-            on_frame(replace(frame, bytes_so_far=written))
-
-    frames: Iterable[Frame] = sequence
-    if stop is not None and settled.config.causal:
-        frames = takewhile(lambda _: not stop(), sequence)
-    packets: Iterable[Packet] = encoder.packets(frames, report)
-    if verify:
-        packets = verified(packets)
-    digest = b""
-    with open_output(output, force=force) as writer:
-        for packet in packets:
-            writer.write(packet)
-            written = writer.offset
-            if packet.type == PacketType.END:
-                digest = packet.header["d"]
-    return EncodeReport(
-        reports=tuple(encoder.reports),
-        file_bytes=writer.offset,
-        duration_s=len(encoder.reports) / info.fps,
-        seconds=time.perf_counter() - began,
-        voxel_size_m=encoder.scene.objects[0].evidence.voxel_size_m,
-        digest=digest,
-        notices=notices,
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

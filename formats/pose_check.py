@@ -10,7 +10,7 @@ from threedvc.encoder.tracking.given_poses import measure_agreement
 from threedvc.encoder.tracking.pose_completion import SequenceWithPoses, complete_poses
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
-from threedvc.frames.frame import FactualSequence, FrameSequence
+from threedvc.frames.sequence import FactualSequence, FrameSequence
 
 __all__ = ["SettledPoses", "settle_poses"]
 

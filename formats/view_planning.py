@@ -12,12 +12,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from threedvc.config import ExplorationConfig
-from threedvc.decoder.decoder import Decoder, FrameState
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState
 from threedvc.errors import SequenceError, TruncatedStream
 from threedvc.formats.container import open_input
 from threedvc.formats.decoding import errors_named
 from threedvc.geometry.pose import Pose, compose, inverse
-from threedvc.view_planning.targets import Proposal, Target, propose, targets_of, thinned
+from threedvc.view_planning.planner import Proposal, propose
+from threedvc.view_planning.targets import Target, targets_of, thinned
 
 __all__ = ["Exploration", "ExploredObject", "explore"]
 

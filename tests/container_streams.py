@@ -8,16 +8,9 @@ import io
 from threedvc.formats.container import Record, StreamReader, StreamWriter
 from threedvc.formats.container.checksum import crc32c
 from threedvc.formats.container.layout import CRC, PACKET_HEAD, SYNC
-from threedvc.stream.packets import (
-    BatchHeader,
-    EndHeader,
-    ModelHeader,
-    ObjectHeader,
-    Packet,
-    PoseHeader,
-    StreamHeader,
-    pack_batch,
-)
+from threedvc.stream.batch import pack_batch
+from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, ObjectHeader, PoseHeader, StreamHeader
+from threedvc.stream.packets import Packet
 
 CAMERA = (4.0, 3.0, 5.0, 5.0, 1.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 DIGEST = bytes(range(16))

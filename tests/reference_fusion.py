@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import FusionConfig
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import Observation, free_space_log_odds
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.model.decoded_model import EvidenceModel
 
 __all__ = ["CellEvidence", "cells_of", "expected_color", "expected_depth", "ray_sum"]
 

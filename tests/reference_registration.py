@@ -6,14 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats
 from threedvc.encoder.tracking.registration import ModelView
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
-
-Doubles = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,27 +17,20 @@ from threedvc.coding.gains import apply_gain
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import RenderConfig
-from threedvc.decoder.decoder import Decoder, models_digest
-from threedvc.decoder.sensor_state import rig_of
+from threedvc.decoder.decoder import Decoder
 from threedvc.formats.container import StreamReader, StreamWriter
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, make_pose
-from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
+from threedvc.stream.batch import pack_batch
 from threedvc.stream.frame_report import FrameReport, report_packet
-from threedvc.stream.packets import (
-    BatchHeader,
-    EndHeader,
-    ModelHeader,
-    ObjectHeader,
-    Packet,
-    PacketType,
-    PoseHeader,
-    StreamHeader,
-    pack_batch,
-)
+from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, ObjectHeader, PoseHeader, StreamHeader
+from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.sensor_description import rig_of
 
 __all__ = [
     "FRAMES",

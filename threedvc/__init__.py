@@ -27,7 +27,8 @@ from threedvc.errors import (
 
 if TYPE_CHECKING:
     from threedvc.config import EncoderConfig, ExplorationConfig, RenderConfig
-    from threedvc.formats.decoding import decode, encode, open_stream
+    from threedvc.formats.decoding import decode, open_stream
+    from threedvc.formats.encoding import encode
     from threedvc.formats.evaluation.statistics import statistics
     from threedvc.formats.sources import open_sensors, open_sequence
     from threedvc.formats.view_planning import explore
@@ -62,7 +63,7 @@ _HOMES = {
     "ExplorationConfig": "threedvc.config",
     "RenderConfig": "threedvc.config",
     "decode": "threedvc.formats.decoding",
-    "encode": "threedvc.formats.decoding",
+    "encode": "threedvc.formats.encoding",
     "explore": "threedvc.formats.view_planning",
     "open_sensors": "threedvc.formats.sources",
     "open_sequence": "threedvc.formats.sources",

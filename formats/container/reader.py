@@ -19,17 +19,9 @@ from threedvc.formats.container.layout import (
     unpack_packet_head,
 )
 from threedvc.formats.container.source import CHUNK_BYTES, ByteSource
-from threedvc.stream.packets import (
-    BatchHeader,
-    Packet,
-    PacketFlag,
-    PacketType,
-    StreamHeader,
-    check_supported,
-    is_understood,
-    split_batch,
-    type_name,
-)
+from threedvc.stream.batch import split_batch
+from threedvc.stream.headers import BatchHeader, StreamHeader, check_supported
+from threedvc.stream.packets import Packet, PacketFlag, PacketType, is_understood, type_name
 
 __all__ = ["Record", "SkippedRange", "StreamReader"]
 

@@ -11,7 +11,8 @@ from threedvc.formats.container.framing import pack_packet
 from threedvc.formats.container.index import IndexEntry, pack_index
 from threedvc.formats.container.layout import INDEX_POINTER, pack_file_head
 from threedvc.limits import MAX_INDEX_ENTRIES
-from threedvc.stream.packets import BatchHeader, Packet, PacketType, SnapshotHeader, type_name
+from threedvc.stream.headers import BatchHeader, SnapshotHeader
+from threedvc.stream.packets import Packet, PacketType, type_name
 
 __all__ = ["StreamWriter"]
 

@@ -8,17 +8,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 from threedvc.formats.container import FILE_HEAD_BYTES, Record
-from threedvc.stream.packets import (
-    BatchHeader,
-    ClockHeader,
-    DepthHeader,
-    Header,
-    ModelHeader,
-    ObjectHeader,
-    Packet,
-    PoseHeader,
-    type_name,
-)
+from threedvc.stream.headers import BatchHeader, ClockHeader, DepthHeader, Header, ModelHeader, ObjectHeader, PoseHeader
+from threedvc.stream.packets import Packet, type_name
 
 __all__ = ["PacketTotal", "Tally"]
 

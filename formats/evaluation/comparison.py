@@ -9,14 +9,15 @@ from dataclasses import asdict, dataclass, field
 from threedvc.errors import SequenceError
 from threedvc.formats.decoding import DecodedFrame
 from threedvc.formats.evaluation.object_comparison import ObjectComparison
-from threedvc.frames.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose
-from threedvc.metrics.picture_quality import ColorQuality, DepthErrors, depth_units, mean_color_quality
+from threedvc.metrics.depth_errors import DepthErrors, depth_units
+from threedvc.metrics.picture_quality import ColorQuality, mean_color_quality
 from threedvc.metrics.trajectory import TrajectoryError, trajectory_error
+from threedvc.units import MILLIMETRES, NANOSECONDS
 
 __all__ = ["Comparison", "check_comparable", "paired"]
-
-MILLIMETRES = 1000.0
 
 
 def check_comparable(decoded: SequenceInfo, reference: SequenceInfo) -> None:

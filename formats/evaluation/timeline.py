@@ -7,15 +7,14 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from threedvc.decoder.decoder import FrameState
+from threedvc.decoder.frame_state import FrameState
 from threedvc.formats.evaluation.frame_ranges import Span, spans_of
+from threedvc.formats.evaluation.report import BACKGROUND
 from threedvc.geometry.pose import Pose
 from threedvc.metrics.trajectory import Travel, travel
 from threedvc.model.decoded_model import DecodedModel
 
 __all__ = ["Course"]
-
-BACKGROUND = 0
 
 
 @dataclass(kw_only=True)

@@ -13,7 +13,8 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.render.ray_grid import RayGrid
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 __all__ = ["Lookout"]
 

@@ -22,7 +22,7 @@ from typing import TypeAlias
 
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
-from threedvc.frames.frame import NANOSECONDS
+from threedvc.units import NANOSECONDS
 
 __all__ = ["Key", "NamedPictures", "doubt_of_steps", "in_unit_of", "named_pictures", "ticks_of", "times_in"]
 

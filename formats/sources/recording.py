@@ -18,7 +18,6 @@ from threedvc.stream.input_options import InputOptions
 
 __all__ = [
     "DEFAULT_FPS",
-    "MILLIMETRES",
     "FrameFiles",
     "Layout",
     "Recording",
@@ -29,7 +28,6 @@ __all__ = [
 ]
 
 DEFAULT_FPS = 30.0
-MILLIMETRES = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)

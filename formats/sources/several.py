@@ -16,9 +16,9 @@ from threedvc.formats.sources.files.text import read_json_value
 from threedvc.formats.sources.opening import FrameRange, open_sequence
 from threedvc.formats.sources.registry import AUTO
 from threedvc.formats.sources.sequence import FolderSequence
-from threedvc.frames.frame import NANOSECONDS
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import Pose, inverse
+from threedvc.units import NANOSECONDS
 
 __all__ = ["open_sensors", "read_extrinsic"]
 

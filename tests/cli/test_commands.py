@@ -26,7 +26,7 @@ from threedvc.cli.main import main
 from threedvc.cli.options import LAYOUTS
 from threedvc.config import Motion, SegmentationMode, Sensor
 from threedvc.errors import OutputError, RegistrationFailed
-from threedvc.formats import decoding as api
+from threedvc.formats import decoding, encoding
 from threedvc.formats.container.layout import SYNC
 from threedvc.formats.evaluation import statistics as statistics_module
 from threedvc.formats.sinks import PlainSink
@@ -74,7 +74,7 @@ def fake_decoder(monkeypatch: pytest.MonkeyPatch) -> list[FakeStream]:
         opened.append(FakeStream(source, **choices))
         return opened[-1]
 
-    monkeypatch.setattr(api, "open_stream", open_stream)
+    monkeypatch.setattr(decoding, "open_stream", open_stream)
     monkeypatch.setattr(statistics_module, "open_stream", open_stream)
     return opened
 
@@ -118,7 +118,7 @@ class FakeEncoder:
 @pytest.fixture
 def fake_encoder(monkeypatch: pytest.MonkeyPatch) -> FakeEncoder:
     encoder = FakeEncoder()
-    monkeypatch.setattr(api, "encode", encoder)
+    monkeypatch.setattr(encoding, "encode", encoder)
     return encoder
 
 

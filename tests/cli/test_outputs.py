@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from threedvc.cli.main import main
-from threedvc.formats import decoding as api
+from threedvc.formats.decoding import decode
 
 PROGRAM = [sys.executable, "-c", "from threedvc.cli.main import main; main()"]
 PATIENCE_S = 120
@@ -144,7 +144,7 @@ def test_a_live_encode_that_is_terminated_is_complete(room: Path, tmp_path: Path
     last = told.splitlines()[-1]
     assert last.startswith(f"Terminated; {target} holds the ")
     assert [path.name for path in tmp_path.iterdir()] == ["k.3dvc"]
-    frames = sum(1 for _ in api.decode(target, what=frozenset({"depth"})))
+    frames = sum(1 for _ in decode(target, what=frozenset({"depth"})))
     assert last == f"Terminated; {target} holds the {frames} frames so far"
 
 

@@ -15,27 +15,15 @@ import pytest
 
 from container_streams import DIGEST, records, stream_header, stream_of
 from threedvc import errors, limits
-from threedvc.decoder.decoder import models_digest
 from threedvc.formats.container import layout
 from threedvc.formats.container.framing import COMPRESSED_TYPES
-from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
+from threedvc.stream.batch import pack_batch
 from threedvc.stream.header_fields import Kind
-from threedvc.stream.packets import (
-    DIGEST_BYTES,
-    RESERVED_TYPES,
-    TOP_LEVEL_TYPES,
-    BatchHeader,
-    EndHeader,
-    Header,
-    ObjectHeader,
-    PacketFlag,
-    PacketType,
-    PoseHeader,
-    is_understood,
-    pack_batch,
-)
-from threedvc.stream.wire import pack_varint
+from threedvc.stream.headers import BatchHeader, EndHeader, Header, ObjectHeader, PoseHeader
+from threedvc.stream.packets import RESERVED_TYPES, TOP_LEVEL_TYPES, PacketFlag, PacketType, is_understood
+from threedvc.stream.wire import DIGEST_BYTES, pack_varint
 
 Rows = list[dict[str, str]]
 

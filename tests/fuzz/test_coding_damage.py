@@ -8,11 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update, morton_order
+from threedvc.coding.color import ColorSettings
 from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths
 from threedvc.coding.filters import MAX_FACTOR, decode_filter
+from threedvc.coding.morton import morton_order
+from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief, encode_relief
+from threedvc.coding.update import decode_update, encode_update
 from threedvc.errors import FormatError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import identity

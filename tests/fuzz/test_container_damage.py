@@ -15,7 +15,9 @@ from container_streams import end, packets, raw_packet, records, small_stream, s
 from threedvc.errors import FormatError, ThreedvcError, TruncatedStream
 from threedvc.formats.container import StreamReader, read_index
 from threedvc.formats.container.layout import pack_file_head
-from threedvc.stream.packets import BatchHeader, Packet, PacketType, pack_batch, split_batch, unpack_batch
+from threedvc.stream.batch import pack_batch, split_batch, unpack_batch
+from threedvc.stream.headers import BatchHeader
+from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.wire import pack_map, unpack_map
 
 DATA = small_stream()

@@ -8,8 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.coding import ColorSettings, PoseCoder, decode_update, encode_update_with_result, morton_order
+from threedvc.coding.color import ColorSettings
 from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths, grid_shape
+from threedvc.coding.morton import morton_order
+from threedvc.coding.poses import PoseCoder
+from threedvc.coding.update import decode_update, encode_update_with_result
 from threedvc.geometry.pose import make_pose, rotation_from_vector
 from threedvc.model.model_update import ModelUpdate
 

@@ -13,16 +13,9 @@ from container_streams import end, records, stream_header, stream_of
 from threedvc.formats.container import IndexEntry, StreamReader
 from threedvc.formats.container.index import pack_index, unpack_index
 from threedvc.limits import MAX_COUNT, MAX_FRAME, MAX_OBJECT_ID
-from threedvc.stream.packets import (
-    BatchHeader,
-    ModelHeader,
-    ObjectHeader,
-    Packet,
-    PacketType,
-    PoseHeader,
-    pack_batch,
-    unpack_batch,
-)
+from threedvc.stream.batch import pack_batch, unpack_batch
+from threedvc.stream.headers import BatchHeader, ModelHeader, ObjectHeader, PoseHeader
+from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.wire import ByteReader, pack_map, pack_varint, unpack_map
 
 numbers = st.integers(-(1 << 63), (1 << 64) - 1)

@@ -17,12 +17,14 @@ from streams import ListSequence, packed_stream
 from threedvc.config import EncoderConfig, Motion, RenderConfig, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.errors import ConfigError, CorruptStream, FormatError, OutputError, SequenceError, TruncatedStream
 from threedvc.formats.container import StreamReader
-from threedvc.formats.decoding import DecodedFrame, decode, encode, open_stream
+from threedvc.formats.decoding import DecodedFrame, decode, open_stream
+from threedvc.formats.encoding import encode
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import compose, identity, make_pose, rotation_from_vector
 from threedvc.metrics.picture_quality import psnr
 from threedvc.stream.frame_report import FrameReport
-from threedvc.stream.packets import BatchHeader, PacketType
+from threedvc.stream.headers import BatchHeader
+from threedvc.stream.packets import PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES = 8

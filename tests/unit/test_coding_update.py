@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from threedvc.coding import ColorSettings, decode_update, encode_update, encode_update_with_result, morton_order
+from threedvc.coding.color import ColorSettings
+from threedvc.coding.morton import morton_order
+from threedvc.coding.update import decode_update, encode_update, encode_update_with_result
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.model.model_update import ModelUpdate
 

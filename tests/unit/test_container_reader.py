@@ -14,7 +14,9 @@ from container_streams import batch, end, packets, raw_packet, records, small_st
 from threedvc.errors import BadMagic, CorruptStream, FormatError, LimitExceeded, TruncatedStream, UnsupportedVersion
 from threedvc.formats.container import FILE_HEAD_BYTES, SkippedRange, StreamReader
 from threedvc.formats.container.layout import PACKET_HEAD, SYNC, pack_file_head
-from threedvc.stream.packets import BatchHeader, EndHeader, ModelHeader, Packet, PacketType, unpack_batch
+from threedvc.stream.batch import unpack_batch
+from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader
+from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.wire import pack_map
 
 STREAM = raw_packet(1, header=pack_map(stream_header().to_map()))

@@ -13,7 +13,8 @@ from container_streams import batch, end, packets, records, small_stream, stream
 from threedvc.errors import LimitExceeded, OutputError
 from threedvc.formats.container import IndexEntry, StreamWriter, read_index, writer
 from threedvc.formats.container.layout import FILE_HEAD_BYTES, MAGIC
-from threedvc.stream.packets import Packet, PacketType, SnapshotHeader
+from threedvc.stream.headers import SnapshotHeader
+from threedvc.stream.packets import Packet, PacketType
 
 
 class Pipe(io.RawIOBase):

@@ -17,26 +17,27 @@ from numpy.typing import NDArray
 from threedvc.coding.color import ColorSettings
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
-from threedvc.decoder.decoder import Decoder, FrameState, camera_poses, models_digest
-from threedvc.decoder.sensor_state import nearest_multiple, rig_of
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState, camera_poses
 from threedvc.errors import CorruptStream, FormatError, LimitExceeded, TruncatedStream, UnsupportedVersion
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_from_vector
 from threedvc.limits import MAX_COUNT, MAX_FRAME
-from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
+from threedvc.stream.batch import pack_batch
 from threedvc.stream.frame_report import FrameReport, report_packet
-from threedvc.stream.packets import (
+from threedvc.stream.headers import (
     BatchHeader,
     ClockHeader,
     EndHeader,
     ModelHeader,
     ObjectHeader,
-    Packet,
     PoseHeader,
     StreamHeader,
-    pack_batch,
 )
+from threedvc.stream.packets import Packet
+from threedvc.stream.sensor_description import nearest_multiple, rig_of
 from threedvc.stream.wire import pack_signed_varint
 
 STEP = 0.001

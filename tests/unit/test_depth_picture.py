@@ -13,23 +13,17 @@ from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import DepthPicture, DepthSteps, decode_depths, encode_depths, grid_shape
 from threedvc.coding.poses import PoseCoder
 from threedvc.config import RenderConfig
-from threedvc.decoder.decoder import Decoder, models_digest
+from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.appearance.background_depth import DepthChoice, best_depths, measured_depths
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.model.decoded_model import DecodedModel
-from threedvc.render.renderer import Renderer, RenderModel
-from threedvc.stream.packets import (
-    BatchHeader,
-    DepthHeader,
-    EndHeader,
-    ObjectHeader,
-    Packet,
-    PoseHeader,
-    StreamHeader,
-    pack_batch,
-)
+from threedvc.model.decoded_model import DecodedModel, models_digest
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
+from threedvc.stream.batch import pack_batch
+from threedvc.stream.headers import BatchHeader, DepthHeader, EndHeader, ObjectHeader, PoseHeader, StreamHeader
+from threedvc.stream.packets import Packet
 
 CAMERA = Camera(width=48, height=36, fx=40.0, fy=42.0, cx=23.5, cy=17.5)
 SCALE_BITS = 14

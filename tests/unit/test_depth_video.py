@@ -23,7 +23,9 @@ from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.render.captured_depth import EDGE, FilmedDepth, depth_levels
-from threedvc.stream.packets import BatchHeader, Packet, PacketType, VideoHeader, pack_batch, unpack_batch
+from threedvc.stream.batch import pack_batch, unpack_batch
+from threedvc.stream.headers import BatchHeader, VideoHeader
+from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 from wobbling_room import wobbling
 

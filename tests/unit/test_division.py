@@ -15,10 +15,11 @@ from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, S
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.segmentation.motion_segmenter import Reduction
+from threedvc.encoder.segmentation.downsampling import Reduction
 from threedvc.encoder.segmentation.sequence_labels import NOTHING, Division
-from threedvc.encoder.tracking.tracker import UNSEEN
-from threedvc.frames.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.encoder.tracking.pose_track import UNSEEN
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.stream.packets import Packet

@@ -14,15 +14,18 @@ from hypothesis import strategies as st
 
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import EncoderConfig, PoseConfig
-from threedvc.decoder.decoder import Decoder, FrameState
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.packetizer.packetizer import Emitter
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.frame import SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.model.decoded_model import EvidenceModel
+from threedvc.stream.batch import unpack_batch
 from threedvc.stream.frame_report import FrameReport
-from threedvc.stream.packets import BatchHeader, ClockHeader, ObjectHeader, Packet, PacketType, PoseHeader, unpack_batch
+from threedvc.stream.headers import BatchHeader, ClockHeader, ObjectHeader, PoseHeader
+from threedvc.stream.packets import Packet, PacketType
 
 RIG = CameraRig.registered_to(Camera(width=8, height=6, fx=10, fy=10, cx=3.5, cy=2.5))
 INFO = SequenceInfo(name="script", rig=RIG, depth_scale=1000.0, fps=30.0, frame_count=None)

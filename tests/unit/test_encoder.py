@@ -13,8 +13,8 @@ import pytest
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.decoder.decoder import Decoder, FrameState, models_digest
-from threedvc.decoder.sensor_state import nearest_multiple
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState
 from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.pipeline.encoder import Encoder, verified
 from threedvc.encoder.rate.rate_control import stream_bytes
@@ -22,17 +22,12 @@ from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle
+from threedvc.model.decoded_model import models_digest
+from threedvc.stream.batch import unpack_batch
 from threedvc.stream.frame_report import FrameReport
-from threedvc.stream.packets import (
-    BatchHeader,
-    EndHeader,
-    ModelHeader,
-    Packet,
-    PacketType,
-    PoseHeader,
-    StreamHeader,
-    unpack_batch,
-)
+from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, PoseHeader, StreamHeader
+from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.sensor_description import nearest_multiple
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)

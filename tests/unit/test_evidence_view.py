@@ -11,13 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.config import FusionConfig, Sensor
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.tracking.model_view import TRACKING_PIXELS, FrameViews, Thinned, cast_view
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.model.decoded_model import EvidenceModel
 
 CAMERA = Camera(width=60, height=48, fx=60.0, fy=60.0, cx=29.5, cy=23.5)
 RIG = CameraRig.registered_to(CAMERA)

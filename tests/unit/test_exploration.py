@@ -23,19 +23,21 @@ from threedvc.config import (
     SegmentationMode,
     Sensor,
 )
-from threedvc.decoder.decoder import Decoder, FrameState
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.formats.container import StreamReader
-from threedvc.formats.decoding import encode
+from threedvc.formats.encoding import encode
 from threedvc.formats.view_planning import explore
-from threedvc.frames.frame import FrameSequence
 from threedvc.frames.sensor_model import SENSORS
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import compose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.kernels.encoder.exploration import look_at_cells
 from threedvc.synthesis import SyntheticSequence, make_scene
 from threedvc.view_planning.occupancy_field import EntropyField
-from threedvc.view_planning.targets import Sight, Target, draw_frames, propose, targets_of, thinned
+from threedvc.view_planning.planner import propose
+from threedvc.view_planning.targets import Sight, Target, draw_frames, targets_of, thinned
 
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
 KINECT = SENSORS[Sensor.KINECT1]

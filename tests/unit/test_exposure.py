@@ -18,7 +18,8 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
-from threedvc.stream.packets import PacketType, unpack_batch
+from threedvc.stream.batch import unpack_batch
+from threedvc.stream.packets import PacketType
 
 CAMERA = Camera(width=120, height=90, fx=110.0, fy=110.0, cx=59.5, cy=44.5)
 INFO = SequenceInfo(

@@ -28,16 +28,20 @@ from threedvc.config import (
     with_quality,
 )
 from threedvc.decoder.decoder import Decoder
-from threedvc.decoder.sensor_state import rig_of
 from threedvc.encoder.appearance.appearance_fit import finish
-from threedvc.encoder.appearance.color_field import LUMA, Sampler, aligned_shift
+from threedvc.encoder.appearance.color_field import LUMA
+from threedvc.encoder.appearance.photometric_alignment import aligned_shift
+from threedvc.encoder.appearance.samples import Sampler
 from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.formats.container import StreamWriter
 from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
-from threedvc.render.renderer import Renderer, RenderModel
-from threedvc.stream.packets import Packet, PacketType, type_name, unpack_batch
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
+from threedvc.stream.batch import unpack_batch
+from threedvc.stream.packets import Packet, PacketType, type_name
+from threedvc.stream.sensor_description import rig_of
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)

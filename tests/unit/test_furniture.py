@@ -14,7 +14,7 @@ from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.tracker import UNSEEN, Located, along_with_the_room
+from threedvc.encoder.tracking.pose_track import UNSEEN, Located, along_with_the_room
 from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.synthesis import SyntheticSequence, make_scene
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from reference_fusion import cells_of, expected_color, expected_depth
 from threedvc.config import FusionConfig, Sensor
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import Observation, free_space_log_odds, fuse, observe
 from threedvc.encoder.fusion.model_entropy import EntropyMeter
 from threedvc.errors import LimitExceeded
@@ -20,7 +21,6 @@ from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS, SensorModel
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.model.decoded_model import EvidenceModel
 
 CAMERA = Camera(width=48, height=36, fx=50.0, fy=52.0, cx=23.0, cy=18.0)
 BENT = replace(CAMERA, distortion=(0.3, -0.2, 0.01, -0.008, 0.05))

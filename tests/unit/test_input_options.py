@@ -12,7 +12,8 @@ import pytest
 from recorded_room import SMALL, color_picture, depth_picture, poses, write_lines, write_picture
 from threedvc.config import EncoderConfig
 from threedvc.errors import CorruptStream
-from threedvc.formats import decoding as api
+from threedvc.formats.decoding import decode
+from threedvc.formats.encoding import encode
 from threedvc.formats.evaluation.statistics import statistics
 from threedvc.formats.sources import open_sequence
 from threedvc.stream.color_times import color_times_packet, unpack_color_times
@@ -39,7 +40,7 @@ def recording(tmp_path: Path) -> Path:
 def test_a_reference_is_read_as_the_input_was(recording: Path) -> None:
     sequence = open_sequence(recording, color="left", depth_scale=SCALE)
     stream = io.BytesIO()
-    api.encode(sequence, stream, EncoderConfig(causal=True, voxel_size_m=0.05))
+    encode(sequence, stream, EncoderConfig(causal=True, voxel_size_m=0.05))
     stream.seek(0)
     told = statistics(stream, recording).quality
     stream.seek(0)
@@ -51,7 +52,7 @@ def test_a_reference_is_read_as_the_input_was(recording: Path) -> None:
     assert wrong is not None
     assert wrong["depth_within_1pct"] < told["depth_within_1pct"]
     stream.seek(0)
-    times = [(frame.timestamp_ns, frame.color_timestamp_ns) for frame in api.decode(stream)]
+    times = [(frame.timestamp_ns, frame.color_timestamp_ns) for frame in decode(stream)]
     assert times == [(frame.timestamp_ns, frame.color_timestamp_ns) for frame in sequence]
 
 

@@ -6,14 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threedvc.encoder.appearance.lighting import (
-    Doubles,
-    LightEquations,
-    epoch_frames,
-    light_at,
-    light_script,
-    light_terms,
-)
+from threedvc.arrays import Doubles
+from threedvc.encoder.appearance.lighting import LightEquations, epoch_frames, light_at, light_script, light_terms
 
 ONE = np.array([0.25, 0, -0.125, 0, 0, 0.0625, 0, 0])
 OTHER = np.array([-0.25, 0.125, 0.125, 0, 0, 0, 0.0625, 0])

@@ -11,7 +11,7 @@ import pytest
 from threedvc.config import EncoderConfig, Motion
 from threedvc.encoder.reconstruction.loop_closure import MAX_KEYFRAMES, closed_loops, corrected, key_numbers
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.tracker import Located
+from threedvc.encoder.tracking.pose_track import Located
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.synthesis import SyntheticSequence, make_scene

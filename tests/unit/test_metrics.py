@@ -12,20 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from reference_metrics import slow_ssim
-from threedvc.metrics.picture_quality import (
-    MAX_PSNR_DB,
-    ColorQuality,
-    DepthErrors,
-    PaperAccounting,
-    bernoulli_entropy_bits,
-    depth_units,
-    gaussian_entropy_bits,
-    luma,
-    mean_color_quality,
-    psnr,
-    psnr_y,
-    ssim_y,
-)
+from threedvc.metrics.depth_errors import DepthErrors, depth_units
+from threedvc.metrics.entropy import bernoulli_entropy_bits, gaussian_entropy_bits
+from threedvc.metrics.paper_accounting import PaperAccounting
+from threedvc.metrics.picture_quality import MAX_PSNR_DB, ColorQuality, luma, mean_color_quality, psnr, psnr_y, ssim_y
 
 SMALL = st.integers(0, 2**32 - 1)
 

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from threedvc.config import FusionConfig, Motion, Sensor
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.tracking.model_view import FrameViews, Thinned
-from threedvc.encoder.tracking.tracker import Located, Tracker, known_pose, motion_of
+from threedvc.encoder.tracking.pose_track import Located, known_pose, motion_of
+from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.pose import compose, identity, inverse, make_pose, rotation_angle
-from threedvc.model.decoded_model import EvidenceModel
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=6, size=(96, 72)))

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.model.block_index import BLOCK_CELLS, morton_keys
-from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
 Cell = tuple[int, int, int]

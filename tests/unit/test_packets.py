@@ -11,27 +11,21 @@ import pytest
 
 from container_streams import CAMERA, DIGEST, stream_header
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
-from threedvc.stream import packets
-from threedvc.stream.packets import (
+from threedvc.stream import batch, headers, packets
+from threedvc.stream.batch import pack_batch, split_batch, unpack_batch
+from threedvc.stream.headers import (
     BatchHeader,
     ClockHeader,
     EndHeader,
     Header,
     ModelHeader,
     ObjectHeader,
-    Packet,
-    PacketFlag,
-    PacketType,
     PoseHeader,
     SnapshotHeader,
     StreamHeader,
     check_supported,
-    is_understood,
-    pack_batch,
-    split_batch,
-    type_name,
-    unpack_batch,
 )
+from threedvc.stream.packets import Packet, PacketFlag, PacketType, is_understood, type_name
 from threedvc.stream.wire import pack_map, unpack_map
 
 EXTRINSIC = (1, 0, 0, 0.025, 0, 0, -1, 0, 0, 1, 0, -0.001)
@@ -159,7 +153,7 @@ def test_support_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     unknown = stream_header(required=("holes", "gold"))
     with pytest.raises(UnsupportedVersion, match="needs the features holes, gold; use a newer 3dvc"):
         check_supported(unknown)
-    monkeypatch.setattr(packets, "FEATURES", frozenset({"holes", "gold"}))
+    monkeypatch.setattr(headers, "FEATURES", frozenset({"holes", "gold"}))
     check_supported(unknown)
 
 
@@ -239,13 +233,13 @@ def test_damaged_batches(payload: bytes, error: type[Exception], message: str) -
 
 
 def test_batch_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packets, "MAX_BATCH_PACKETS", 3)
+    monkeypatch.setattr(batch, "MAX_BATCH_PACKETS", 3)
     with pytest.raises(LimitExceeded, match="4 packets are more than the 3 that fit into one BATCH"):
         pack_batch(HEADER, MEMBERS)
     three = pack_batch(HEADER, MEMBERS[:3])
     assert unpack_batch(three) == MEMBERS[:3]
     with pytest.raises(LimitExceeded, match="a BATCH holds more than 3 packets"):
         unpack_batch(HEADER.packet(three.payload + three.payload))
-    monkeypatch.setattr(packets, "MAX_PAYLOAD_BYTES", 1000)
+    monkeypatch.setattr(batch, "MAX_PAYLOAD_BYTES", 1000)
     with pytest.raises(LimitExceeded, match="is larger than 1000; put fewer frames into one"):
         pack_batch(HEADER, MEMBERS[:3])

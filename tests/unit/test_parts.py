@@ -13,7 +13,7 @@ from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.tracker import Located, bridged, joined_parts, pose_between
+from threedvc.encoder.tracking.pose_track import Located, bridged, joined_parts, pose_between
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, identity, inverse, make_pose
 from threedvc.synthesis import SyntheticSequence, make_scene

@@ -19,11 +19,14 @@ from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.packetizer.post_filter_fit import fitted_filter
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.errors import CorruptStream
-from threedvc.formats import decoding as api
+from threedvc.formats.decoding import decode
+from threedvc.formats.encoding import encode
 from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 from threedvc.kernels.render.picture_filter import OFFSETS
 from threedvc.model.post_filter import KINDS, PAIRS, PictureFilter, kinds_of_pixels
-from threedvc.stream.packets import BatchHeader, Packet, PacketType, pack_batch, unpack_batch
+from threedvc.stream.batch import pack_batch, unpack_batch
+from threedvc.stream.headers import BatchHeader
+from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.04)
@@ -188,12 +191,10 @@ def test_live_streams_have_no_filter() -> None:
 def test_pictures_are_filtered_as_asked_and_only_as_filmed(tmp_path: Path) -> None:
     sequence = scene()
     path = tmp_path / "room.3dvc"
-    api.encode(sequence, path, with_preset(FILE, Preset.FAST))
+    encode(sequence, path, with_preset(FILE, Preset.FAST))
 
     def pictures(parts: FilterParts = FilterParts.ALL, **choices: Any) -> list[NDArray[np.uint8]]:
-        return [
-            frame.color for frame in api.decode(path, render=RenderConfig(filter_parts=parts, threads=2), **choices)
-        ]
+        return [frame.color for frame in decode(path, render=RenderConfig(filter_parts=parts, threads=2), **choices)]
 
     filtered, plain = pictures(), pictures(FilterParts.NONE)
     assert any((one != other).any() for one, other in zip(filtered, plain, strict=True))

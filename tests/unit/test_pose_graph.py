@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threedvc.encoder.reconstruction.pose_graph import Link, optimised, twist_of
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.encoder.reconstruction.pose_graph import Link, optimised
+from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector, twist_of
 
 SURE = np.diag([1e6] * 3 + [1e6] * 3)
 

@@ -15,7 +15,9 @@ from threedvc.config import RenderConfig
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.model.decoded_model import DecodedModel
-from threedvc.render.renderer import Picture, Renderer, RenderModel
+from threedvc.render.picture import Picture
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 CELL = 0.02
 RADIUS = 0.31

@@ -17,7 +17,9 @@ from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import make_pose, rotation_from_vector
 from threedvc.kernels.encoder.raycast_evidence import march
 from threedvc.model.decoded_model import DecodedModel
-from threedvc.render.renderer import Picture, Renderer, RenderModel
+from threedvc.render.picture import Picture
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 CELL = 0.001
 RADIUS = 0.02

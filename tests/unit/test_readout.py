@@ -8,15 +8,17 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.config import FusionConfig, Sensor
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.fusion.surface_extraction import Surface, changes, first_sights, in_regions, read_surface
+from threedvc.encoder.fusion.surface_extraction import Surface, in_regions, read_surface
+from threedvc.encoder.rate.model_updates import changes, first_sights
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import identity
 from threedvc.kernels.encoder.surface import count_neighbours
 from threedvc.model.block_index import BLOCK_CELLS, morton_keys
-from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
 CAMERA = Camera(width=60, height=48, fx=60.0, fy=60.0, cx=29.5, cy=23.5)

@@ -16,7 +16,8 @@ from threedvc.geometry.pose import make_pose
 from threedvc.kernels.coding.relief import FLAT, UNTOLD
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 CELL = 0.05
 Cells = NDArray[np.int32]

@@ -17,8 +17,10 @@ from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, 
 from threedvc.kernels.render.shading import round_colors
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
+from threedvc.render.picture import Picture
 from threedvc.render.ray_grid import RayGrid
-from threedvc.render.renderer import Picture, Renderer, RenderModel
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 CELL = 0.03
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)

@@ -10,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.encoder.reconstruction.scene import Scene, SceneObject, default_voxel_size
-from threedvc.encoder.tracking.tracker import Located
+from threedvc.encoder.reconstruction.cell_size import default_voxel_size
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.reconstruction.scene_object import SceneObject
+from threedvc.encoder.tracking.pose_track import Located
 from threedvc.errors import SequenceError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
 from threedvc.encoder.rate.update_priority import best_part, bits_lifted, bits_taken
 from threedvc.model.block_index import BLOCK_SIDE, morton_keys
-from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
 BLOCKS = 6

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from threedvc.encoder.tracking.tracker import Located
+from threedvc.encoder.tracking.pose_track import Located
 from threedvc.encoder.tracking.trajectory_smoothing import EASE, eased, settled, smoothed
 from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 

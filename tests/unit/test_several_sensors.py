@@ -17,14 +17,17 @@ from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.pose_fusion import PoseWitness, joint_pose
 from threedvc.errors import ConfigError, CorruptStream
-from threedvc.formats.decoding import DecodedFrame, encode, open_stream
+from threedvc.formats.decoding import DecodedFrame, open_stream
+from threedvc.formats.encoding import encode
 from threedvc.formats.evaluation.statistics import statistics
-from threedvc.frames.frame import NANOSECONDS, Frame, FrameSequence, moments
+from threedvc.frames.frame import Frame
 from threedvc.frames.multi_sensor import MergedSequence
+from threedvc.frames.sequence import FrameSequence, moments
 from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.metrics.trajectory import trajectory_error
 from threedvc.stream.sensor_order import Turn, pack_cycle, shortest_cycle, unpack_cycle
 from threedvc.synthesis import SyntheticSequence, make_scene, mounted_sequences
+from threedvc.units import NANOSECONDS
 
 FRAMES = 8
 PERIOD_NS = NANOSECONDS // 30

@@ -18,9 +18,10 @@ from threedvc.errors import BadMagic, CorruptStream, FormatError, SequenceError
 from threedvc.formats.container import FILE_HEAD_BYTES, Record, StreamReader
 from threedvc.formats.evaluation import statistics as module
 from threedvc.formats.evaluation.byte_counts import Tally
-from threedvc.formats.evaluation.statistics import StreamStatistics, statistics
+from threedvc.formats.evaluation.report import StreamStatistics
+from threedvc.formats.evaluation.statistics import statistics
 from threedvc.geometry.camera import Camera, CameraRig
-from threedvc.stream.packets import BatchHeader, DepthHeader, ModelHeader, PoseHeader
+from threedvc.stream.headers import BatchHeader, DepthHeader, ModelHeader, PoseHeader
 
 KEYS = {
     "name", "complete", "file_bytes", "frames", "duration_s", "kbit_s", "raw_bytes", "ratio", "packets", "objects",

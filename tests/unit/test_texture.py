@@ -17,7 +17,8 @@ from threedvc.geometry.pose import make_pose
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 from threedvc.model.texture import texels_of
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 CELL = 0.05
 NONE = np.empty((0, 3), dtype=np.int32)

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
 from threedvc.model.block_index import BLOCK_CELLS
-from threedvc.model.decoded_model import EvidenceModel
 
 
 def model_of(blocks: int) -> EvidenceModel:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from reference_rendering import model_of_cells, surface_cells
 from threedvc.config import RenderConfig
-from threedvc.decoder.decoder import FrameState
+from threedvc.decoder.frame_state import FrameState
 from threedvc.formats.evaluation.frame_ranges import Span
 from threedvc.formats.evaluation.timeline import Course
 from threedvc.formats.evaluation.visibility import Lookout

@@ -7,9 +7,8 @@ nothing.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,19 +23,21 @@ from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
-from threedvc.decoder.sensor_state import FrameRun, SensorState
+from threedvc.decoder.batch_timeline import FrameRun
+from threedvc.decoder.frame_state import FrameState, camera_poses
+from threedvc.decoder.sensor_state import SensorState
 from threedvc.errors import CorruptStream, LimitExceeded, TruncatedStream
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
-from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.post_filter import PictureFilter
 from threedvc.render.captured_depth import FilmedDepth, depth_levels
-from threedvc.render.renderer import Backdrop, Light
+from threedvc.render.picture import Backdrop, Light
+from threedvc.stream.batch import unpack_batch
 from threedvc.stream.color_times import unpack_color_times
 from threedvc.stream.frame_report import StreamReport, unpack_report
-from threedvc.stream.input_options import InputOptions, unpack_input_options
-from threedvc.stream.packets import (
+from threedvc.stream.headers import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
@@ -48,8 +49,6 @@ from threedvc.stream.packets import (
     ModelHeader,
     ObjectHeader,
     OrderHeader,
-    Packet,
-    PacketType,
     PoseHeader,
     ReliefHeader,
     RunHeader,
@@ -60,15 +59,14 @@ from threedvc.stream.packets import (
     TextureHeader,
     VideoHeader,
     check_supported,
-    type_name,
-    unpack_batch,
 )
+from threedvc.stream.input_options import InputOptions, unpack_input_options
+from threedvc.stream.packets import Packet, PacketType, type_name
 from threedvc.stream.sensor_order import Turns, unpack_cycle
 from threedvc.stream.wire import ByteReader
 
-__all__ = ["Decoder", "FrameState", "camera_poses", "models_digest"]
+__all__ = ["Decoder"]
 
-DIGEST_BYTES = 16
 IN_BATCHES = frozenset(
     {
         PacketType.OBJECT,
@@ -87,72 +85,6 @@ IN_BATCHES = frozenset(
         PacketType.VIDEO,
     }
 )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FrameState:
-    """Where everything is in one frame.
-
-    Attributes
-    ----------
-    index, timestamp_ns
-        Which frame.
-    color_timestamp_ns
-        Time of its colour picture if that is another, else None.
-    sensor, number
-        The sensor that took it, and which of its own frames it is.
-    together
-        Whether it was taken at the moment of the frame before, by another sensor.
-    T_world_camera
-        Pose of the sensor's depth camera.
-    T_camera_object
-        Pose of every object that has appeared, by number; 0 is the background.
-    T_shifted_camera
-        Shift of the depth camera for the colour picture: ``p_color = T_color_depth @ T_shifted_camera @ p_depth``.
-    gain
-        (3, 2) units of the colour camera's gain, see `threedvc.coding.gains`.
-    backdrop
-        What colours the background, or None.
-    lights
-        Light on objects, by number.
-    filters
-        Filter of the colour picture as filmed, or None.
-    filmed
-        Depth that stands for the drawn one in the frame as filmed, or None.
-    """
-
-    index: int
-    timestamp_ns: int
-    sensor: int
-    number: int
-    together: bool
-    T_world_camera: Pose
-    T_camera_object: Mapping[int, Pose]
-    T_shifted_camera: Pose
-    gain: NDArray[np.int64]
-    backdrop: Backdrop | None
-    lights: Mapping[int, Light]
-    filters: PictureFilter | None
-    filmed: FilmedDepth | None
-    color_timestamp_ns: int | None = None
-
-
-def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
-    """Turn the poses that the stream carries into T_camera_object.
-
-    Object 0 carries T_camera_world, every other object T_world_object, so that what rests in the room
-    costs nothing while the camera moves.
-    """
-    T_camera_world = scripts.get(0, identity())
-    return {number: compose(T_camera_world, pose) if number else pose for number, pose in scripts.items()}
-
-
-def models_digest(models: Mapping[int, DecodedModel]) -> bytes:
-    """Return the digest of all models that END carries (16 bytes)."""
-    state = hashlib.sha256()
-    for number in sorted(models):
-        state.update(number.to_bytes(4, "little") + models[number].digest())
-    return state.digest()[:DIGEST_BYTES]
 
 
 def _check_pictures(members: Iterable[Packet]) -> None:

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from threedvc.config import RenderConfig
-from threedvc.decoder.decoder import Decoder, FrameState
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.frame_state import FrameState
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 from threedvc.stream.packets import Packet
 
 __all__ = ["Playable", "played"]

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 from threedvc.errors import ConfigError
-from threedvc.frames.frame import NANOSECONDS, Frame, FrameSequence, SequenceInfo, facts_of
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameSequence, facts_of
 from threedvc.geometry.pose import Pose, compose, interpolated, inverse
 from threedvc.limits import MAX_SENSORS
+from threedvc.units import NANOSECONDS
 
 __all__ = ["MergedSequence"]
 

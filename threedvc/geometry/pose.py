@@ -9,8 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles
+
 __all__ = [
     "Pose",
+    "adjoint",
     "compose",
     "identity",
     "interpolated",
@@ -23,6 +26,7 @@ __all__ = [
     "rotation_from_quaternion",
     "rotation_from_vector",
     "rotation_vector",
+    "twist_of",
 ]
 
 Pose = NDArray[np.float64]
@@ -135,3 +139,18 @@ def interpolated(first: Pose, second: Pose, share: float) -> Pose:
     return make_pose(
         rotation_from_vector(share * turn) @ first[:3, :3], first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
     )
+
+
+def twist_of(motion: Pose) -> Doubles:
+    """Return turn and shift (6,) of a small motion."""
+    return np.concatenate([rotation_vector(motion[:3, :3]), motion[:3, 3]])
+
+
+def adjoint(T: Pose) -> Doubles:
+    """Return what turns a small motion (turn, shift) in one frame into the same motion in another (6, 6)."""
+    x, y, z = T[:3, 3]
+    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = T[:3, :3]
+    result[3:, :3] = across @ T[:3, :3]
+    return result

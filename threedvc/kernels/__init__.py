@@ -32,8 +32,8 @@ def cache_directory() -> str | None:
     """
     digest = hashlib.sha256()
     root = Path(__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        digest.update(str(path.relative_to(root)).encode())
+    for path in sorted([*root.rglob("*.py"), root.parent / "units.py"]):  # kernels take constants from it
+        digest.update(str(path.relative_to(root.parent)).encode())
         digest.update(path.read_bytes())
     base = os.environ.get("NUMBA_CACHE_DIR") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache"), "threedvc"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.geometry.pose import Pose, make_pose
+from threedvc.units import MILLIMETRES
 
 __all__ = [
     "ObjectPoseError",
@@ -25,8 +26,6 @@ __all__ = [
     "trajectory_error",
     "travel",
 ]
-
-MILLIMETRES = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,32 +9,30 @@ for any number of threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import RenderConfig
-from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse
-from threedvc.kernels.render.hole_filling import pull, push
 from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
 from threedvc.kernels.render.raycast import OPACITY, cast_rays
-from threedvc.kernels.render.render_blocks import build_block
 from threedvc.kernels.render.shading import relight, round_colors, shade, shade_from_picture
-from threedvc.model.block_index import BLOCK_CELLS, BlockIndex
-from threedvc.model.decoded_model import DecodedModel, shifted_blocks
+from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.post_filter import PictureFilter, kinds_of_pixels
 from threedvc.model.texture import ColorGrid
 from threedvc.parallel import for_ranges
+from threedvc.render.hole_filling import fill_unknown
+from threedvc.render.picture import Backdrop, Light, Picture
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
+from threedvc.render.render_model import RenderModel
 
-__all__ = ["Backdrop", "Light", "Picture", "RenderModel", "Renderer", "fill_unknown"]
+__all__ = ["Renderer"]
 
 Scalar = TypeVar("Scalar", np.float32, np.uint8)
 
-BORDERED_CELLS = 9**3
 SMALL_PICTURE = 320 * 240
 SAME_PLACE = 1e-9
 INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
@@ -44,114 +42,6 @@ INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
     4: (interpolate_between, 1, 2),
 }
 """How rays of each but the first of `RayGrid.levels` are interpolated, how far from others, and in every which row."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Backdrop:
-    """A picture that colours the background.
-
-    Attributes
-    ----------
-    picture
-        (h, w, 3) uint8 RGB.
-    camera
-        The camera that sees it.
-    T_camera_world
-        Pose of that camera.
-    """
-
-    picture: NDArray[np.uint8]
-    camera: Camera
-    T_camera_world: Pose
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Light:
-    """Light on an object.
-
-    Attributes
-    ----------
-    factors
-        (8,) float64, see `threedvc.kernels.render.shading.light_basis`.
-    R_world_object
-        (3, 3) turn of the object in the world, where the light stands still.
-    """
-
-    factors: NDArray[np.float64]
-    R_world_object: NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Picture:
-    """A drawn frame.
-
-    Attributes
-    ----------
-    color
-        (h, w, 3) uint8 RGB in the colour camera.
-    depth
-        (h, w) float32 metres in the depth camera, 0 = nothing there.
-    labels
-        (h, w) uint8 object numbers in the depth camera, 0 = background or nothing.
-    kinds
-        (h, w) uint8 kinds of the colour picture's pixels, see `threedvc.model.post_filter`; None without a filter.
-    """
-
-    color: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    labels: NDArray[np.uint8]
-    kinds: NDArray[np.uint8] | None = None
-
-
-class RenderModel:
-    """A decoded model in the form that rays walk through; kept up to date by `refresh`."""
-
-    def __init__(self, model: DecodedModel) -> None:
-        self.model = model
-        self.index = BlockIndex()
-        self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
-        self.corners = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
-        self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
-        self._version = 0
-
-    def refresh(self, threads: int) -> None:
-        """Rebuild the blocks around everything that changed since the last call."""
-        model = self.model
-        model.fit_planes(threads)
-        changed, self._version = model.changed_since(self._version), model.version
-        if not len(changed):
-            return
-        around = shifted_blocks(changed, (-1, 0, 1))
-        here = around[model.index.locate(around * 8) >= 0]
-        self._build(shifted_blocks(here, (-1, 0)), threads)
-
-    def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
-        skip = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
-        corners = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
-        plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
-        targets = np.arange(len(blocks))
-        model = self.model
-
-        def block_range(start: int, stop: int) -> None:
-            build_block(
-                targets, blocks, start, stop, model.index.tables, model.occupied, model.planes, skip, corners,
-                plane,
-            )  # fmt: skip
-
-        for_ranges(block_range, len(blocks), threads)
-        keep = (skip == 0).any(axis=1) | (self.index.locate(blocks * 8) >= 0)
-        self.index.insert(blocks[keep])
-        self._grow()
-        slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
-        self.skip[slots], self.corners[slots], self.plane[slots] = skip[keep], corners[keep], plane[keep]
-
-    def _grow(self) -> None:
-        more = max(self.index.count, len(self.skip) * 3 // 2) - len(self.skip)
-        if self.index.count <= len(self.skip):
-            return
-        for name in ("skip", "corners", "plane"):
-            array = getattr(self, name)
-            setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
 
 
 class Renderer:
@@ -417,14 +307,3 @@ class Renderer:
 
         for_ranges(row_range, len(value), self.config.threads)
         return picture
-
-
-def fill_unknown(value: NDArray[np.float32], known: NDArray[np.uint8]) -> None:
-    """Fill pixels (h, w, 3) where `known` (h, w) is 0 from ever coarser levels (pull-push)."""
-    if known.all() or value.shape[0] * value.shape[1] == 1:
-        return
-    height, width = -(-value.shape[0] // 2), -(-value.shape[1] // 2)
-    coarse, coarse_known = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.uint8)
-    pull(value, known, coarse, coarse_known)
-    fill_unknown(coarse, coarse_known)
-    push(value, known, coarse)

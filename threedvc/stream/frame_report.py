@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, groupby, pairwise
+from typing import TypeAlias
 
 import numpy as np
 import zstandard
@@ -15,7 +16,7 @@ from threedvc.limits import MAX_COUNT
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.wire import ByteReader, pack_signed_varint, pack_varint
 
-__all__ = ["REPORT_KIND", "FrameReport", "StreamReport", "report_packet", "unpack_report"]
+__all__ = ["REPORT_KIND", "FrameReport", "OnFrame", "StreamReport", "report_packet", "unpack_report"]
 
 REPORT_KIND = "report"
 STEPS_PER_OCTAVE = 32
@@ -47,6 +48,9 @@ class FrameReport:
     entropy_bits: float
     bytes_so_far: int = 0
     seconds: float = 0.0
+
+
+OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,10 @@ import msgpack
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_HEADER_BYTES, MAX_HEADER_DEPTH, MAX_HEADER_ITEMS
 
-__all__ = ["ByteReader", "pack_map", "pack_signed_varint", "pack_varint", "unpack_map"]
+__all__ = ["DIGEST_BYTES", "ByteReader", "pack_map", "pack_signed_varint", "pack_varint", "unpack_map"]
 
+DIGEST_BYTES = 16
+"""Bytes of a digest of decoded state: the first of SHA-256."""
 MAX_VARINT_BYTES = 10
 INTEGRAL_FLOAT_BOUND = 2.0**31
 

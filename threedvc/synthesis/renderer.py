@@ -19,6 +19,7 @@ from threedvc.kernels import synthesis as kernels
 from threedvc.parallel import default_threads, for_ranges
 from threedvc.synthesis.scene import Scene
 from threedvc.synthesis.shapes import Part
+from threedvc.units import LUMA_WEIGHTS
 
 __all__ = ["Picture", "SceneRenderer"]
 
@@ -99,7 +100,7 @@ class SceneRenderer:
             self._threads,
         )
         if self.scene.grey:
-            color[...] = (color @ np.array([0.299, 0.587, 0.114]))[..., None]
+            color[...] = (color @ np.array(LUMA_WEIGHTS))[..., None]
         return np.asarray(np.rint(color), dtype=np.uint8)
 
     def hidden_from(self, index: int, depth: NDArray[np.float64], source: NDArray[np.float64]) -> NDArray[np.bool_]:

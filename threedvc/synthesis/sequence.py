@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import ConfigError
-from threedvc.frames.frame import NANOSECONDS, Frame, SequenceInfo
+from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 from threedvc.synthesis.noise import KINECT_PROJECTOR_M, Noise, kinect_depth, quantised_depth
 from threedvc.synthesis.renderer import Picture, SceneRenderer
 from threedvc.synthesis.scene import Scene
+from threedvc.units import NANOSECONDS
 
 __all__ = ["SyntheticSequence", "mounted_sequences"]
 
@@ -24,7 +25,7 @@ SENSOR_TURN_RAD, SENSOR_SHIFT_M = 0.6, 0.12
 
 
 class SyntheticSequence:
-    """Frames of a scene as a `threedvc.frames.frame.FrameSequence`, without touching the disk.
+    """Frames of a scene as a `threedvc.frames.sequence.FrameSequence`, without touching the disk.
 
     Parameters
     ----------

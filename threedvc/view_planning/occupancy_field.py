@@ -16,7 +16,7 @@ from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.kernels.encoder.exploration import observe_depth
-from threedvc.metrics.picture_quality import bernoulli_entropy_bits
+from threedvc.metrics.entropy import bernoulli_entropy_bits
 from threedvc.parallel import default_threads, for_ranges
 
 __all__ = ["EntropyField", "widened"]

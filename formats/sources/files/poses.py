@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.files.text import Row, read_rows
-from threedvc.frames.frame import NANOSECONDS
 from threedvc.geometry.pose import Pose, make_pose, rotation_from_quaternion, rotation_from_vector, rotation_vector
+from threedvc.units import NANOSECONDS
 
 __all__ = [
     "PoseArray",

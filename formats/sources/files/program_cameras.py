@@ -18,8 +18,9 @@ from threedvc.formats.sources.files.images import read_header
 from threedvc.formats.sources.files.intrinsics import REMEDY, CameraFile, PictureSize, find_cameras
 from threedvc.formats.sources.files.text import read_json
 from threedvc.formats.sources.notices import Notice
-from threedvc.formats.sources.recording import MILLIMETRES, SourceOptions
+from threedvc.formats.sources.recording import SourceOptions
 from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.units import MILLIMETRES
 
 __all__ = ["cameras_beside"]
 

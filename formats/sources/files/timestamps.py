@@ -16,7 +16,7 @@ from statistics import median
 
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import DEFAULT_FPS
-from threedvc.frames.frame import NANOSECONDS
+from threedvc.units import NANOSECONDS
 
 __all__ = [
     "INT64_LIMIT",

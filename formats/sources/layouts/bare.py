@@ -19,16 +19,9 @@ from threedvc.formats.sources.files.masks import find_masks
 from threedvc.formats.sources.files.pose_folder import find_pose_folder, read_pose_folder
 from threedvc.formats.sources.files.program_cameras import cameras_beside
 from threedvc.formats.sources.files.timestamps import clock_of
-from threedvc.formats.sources.recording import (
-    MILLIMETRES,
-    FrameFiles,
-    Layout,
-    Recording,
-    SourceOptions,
-    chosen_folder,
-    first_folder,
-)
+from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions, chosen_folder, first_folder
 from threedvc.geometry.pose import Pose
+from threedvc.units import MILLIMETRES
 
 __all__ = ["LAYOUT"]
 

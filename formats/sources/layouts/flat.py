@@ -18,7 +18,8 @@ from threedvc.formats.sources.files.intrinsics import REMEDY, find_cameras
 from threedvc.formats.sources.files.timestamps import clock_of
 from threedvc.formats.sources.names import named_pictures
 from threedvc.formats.sources.notices import Notice
-from threedvc.formats.sources.recording import MILLIMETRES, FrameFiles, Layout, Recording, SourceOptions
+from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions
+from threedvc.units import MILLIMETRES
 
 __all__ = ["LAYOUT"]
 

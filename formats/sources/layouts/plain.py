@@ -37,16 +37,9 @@ from threedvc.formats.sources.files.poses import pose_from_row, rigid_poses
 from threedvc.formats.sources.files.text import Row, read_json, read_rows
 from threedvc.formats.sources.files.timestamps import UNITS, Clock, clock_of, parse_nanoseconds, regular_stamp, unit_of
 from threedvc.formats.sources.notices import Notice
-from threedvc.formats.sources.recording import (
-    DEFAULT_FPS,
-    MILLIMETRES,
-    FrameFiles,
-    Layout,
-    Recording,
-    SourceOptions,
-    chosen_folder,
-)
+from threedvc.formats.sources.recording import DEFAULT_FPS, FrameFiles, Layout, Recording, SourceOptions, chosen_folder
 from threedvc.geometry.pose import Pose
+from threedvc.units import MILLIMETRES
 
 __all__ = ["LAYOUT"]
 

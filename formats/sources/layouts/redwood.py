@@ -18,17 +18,10 @@ from threedvc.formats.sources.association import Pairing, associate, left_out, l
 from threedvc.formats.sources.files.intrinsics import find_cameras, published_camera
 from threedvc.formats.sources.files.poses import read_trajectory_log
 from threedvc.formats.sources.files.timestamps import clock_of
-from threedvc.formats.sources.recording import (
-    MILLIMETRES,
-    FrameFiles,
-    Layout,
-    Recording,
-    SourceOptions,
-    chosen_folder,
-    first_folder,
-)
+from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions, chosen_folder, first_folder
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
+from threedvc.units import MILLIMETRES
 
 __all__ = ["LAYOUT"]
 

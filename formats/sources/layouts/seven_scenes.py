@@ -21,16 +21,10 @@ from threedvc.formats.sources.files.intrinsics import REMEDY, CameraFile, find_c
 from threedvc.formats.sources.files.poses import read_known_matrix
 from threedvc.formats.sources.files.timestamps import regular_stamp
 from threedvc.formats.sources.notices import Notice
-from threedvc.formats.sources.recording import (
-    DEFAULT_FPS,
-    MILLIMETRES,
-    FrameFiles,
-    Layout,
-    Recording,
-    SourceOptions,
-)
+from threedvc.formats.sources.recording import DEFAULT_FPS, FrameFiles, Layout, Recording, SourceOptions
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose
+from threedvc.units import MILLIMETRES
 
 __all__ = ["LAYOUT"]
 

@@ -15,38 +15,33 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Floats
 from threedvc.coding.gains import NEUTRAL, apply_gain
 from threedvc.config import ColorConfig, RenderConfig, with_step
 from threedvc.encoder.appearance.background_depth import DepthChoice, best_depths, measured_depths
 from threedvc.encoder.appearance.background_image import PictureChoice, background_picture
-from threedvc.encoder.appearance.color_field import (
-    LUMA,
-    ColorField,
-    Floats,
-    FrameSamples,
-    Sampler,
-    aligned_pose,
-    aligned_shift,
-    fit_colors,
-    fit_gain,
-    fit_light,
-    joined,
-    shown_shares,
-)
+from threedvc.encoder.appearance.color_field import LUMA, ColorField
+from threedvc.encoder.appearance.color_solver import fit_colors, fit_gain, fit_light
 from threedvc.encoder.appearance.lighting import epoch_frames
+from threedvc.encoder.appearance.photometric_alignment import aligned_pose, aligned_shift
+from threedvc.encoder.appearance.samples import FrameSamples, Sampler, joined, shown_shares
 from threedvc.encoder.appearance.surface_completion import Guess, guess_surfaces
 from threedvc.encoder.fusion.surface_extraction import REGION_SHIFT, Surface, read_surface
 from threedvc.encoder.rate.rate_control import DEPTH_SHARE, error_at
 from threedvc.encoder.rate.trial_coding import color_settings, one_shot
-from threedvc.encoder.reconstruction.pose_refinement import mean_misfit, misfit_frames
-from threedvc.encoder.reconstruction.scene import Scene, SceneObject
+from threedvc.encoder.reconstruction.depth_consistency import misfit_frames
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.encoder.tracking.model_view import Thinned
+from threedvc.encoder.tracking.pose_track import Script
 from threedvc.encoder.tracking.registration import Status
-from threedvc.encoder.tracking.tracker import Script
 from threedvc.errors import FormatError
-from threedvc.frames.frame import Frame, FrameSequence, moments, spread_step
+from threedvc.frames.frame import Frame
+from threedvc.frames.sequence import FrameSequence, moments, spread_step
 from threedvc.geometry.pose import Pose, identity, interpolated, inverse
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 __all__ = ["Finish", "align", "align_pictures", "finish", "trial_error"]
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles
 from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import (
     MAX_SAMPLE,
@@ -49,8 +50,6 @@ HALVINGS = (2, 4)
 DEAD_ZONE, DEAD_ZONES = 192, (160, 224)
 HEADROOM = 8
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthChoice:
@@ -74,7 +73,7 @@ class DepthChoice:
         return model
 
 
-def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_]]]) -> Floats:
+def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_]]]) -> Doubles:
     """Average the inverse depths that frames measure of what is no object.
 
     Parameters
@@ -102,7 +101,7 @@ def measured_depths(frames: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_
 
 
 def best_depths(
-    measured: Floats, camera: Camera, cost: Callable[[DepthChoice], float], voxel_size_m: float | None = None
+    measured: Doubles, camera: Camera, cost: Callable[[DepthChoice], float], voxel_size_m: float | None = None
 ) -> DepthChoice | None:
     """Return that coding of inverse depths (h, w) that costs least, of some tried; None if all cost infinitely much.
 
@@ -149,7 +148,7 @@ def _seen(depth: NDArray[np.float32], hidden: NDArray[np.bool_]) -> tuple[NDArra
     return inverse, np.where(near == 0, np.float32(1), BESIDE) * clear
 
 
-def _scale_bits(measured: Floats) -> int:
+def _scale_bits(measured: Doubles) -> int:
     """Return the finest scale at which inverse depths are well below the greatest sample."""
     return int(np.clip(np.floor(np.log2(MAX_SAMPLE / HEADROOM / measured.max())), 0, MAX_SCALE_BITS))
 
@@ -162,7 +161,7 @@ def _spacings(camera: Camera) -> list[int]:
     return [spacing * wider for wider in (1, 2, 4) if spacing * wider <= MAX_SPACING]
 
 
-def _picture(measured: Floats, spacing: int, scale_bits: int) -> DepthPicture:
+def _picture(measured: Doubles, spacing: int, scale_bits: int) -> DepthPicture:
     samples = np.rint(_sampled(measured, spacing) * 2.0**scale_bits).astype(np.int64)
     return DepthPicture(samples=np.clip(samples, 0, MAX_SAMPLE), spacing=spacing, scale_bits=scale_bits)
 
@@ -173,7 +172,7 @@ def _cell_pixels(camera: Camera) -> float:
     return float(np.clip(CELL_PIXELS * np.sqrt(share), LEAST_CELL_PIXELS, CELL_PIXELS))
 
 
-def _sampled(measured: Floats, spacing: int) -> Floats:
+def _sampled(measured: Doubles, spacing: int) -> Doubles:
     """Return inverse depths at the samples of a grid; beyond the picture its border goes on as it is inclined."""
     filled = np.where(measured > 0, measured, cv2.dilate(measured, np.ones((3, 3), np.uint8)))
     for axis in (0, 1):
@@ -181,7 +180,7 @@ def _sampled(measured: Floats, spacing: int) -> Floats:
     return filled[::spacing, ::spacing]
 
 
-def _extended(values: Floats, spacing: int) -> Floats:
+def _extended(values: Doubles, spacing: int) -> Doubles:
     """Append rows up to the next multiple of `spacing`."""
     count = -(len(values) - 1) % spacing
     back = min(SLOPE_PX, len(values) - 1)

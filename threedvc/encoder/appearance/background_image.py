@@ -15,8 +15,9 @@ from threedvc.encoder.appearance.color_field import ColorField
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose
+from threedvc.render.hole_filling import fill_unknown
 from threedvc.render.ray_grid import RayGrid
-from threedvc.render.renderer import Renderer, fill_unknown
+from threedvc.render.renderer import Renderer
 
 __all__ = ["PictureChoice", "background_picture"]
 

@@ -16,12 +16,12 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles
 from threedvc.coding.light import pack_light, unpack_light
 from threedvc.kernels.render.shading import LIGHT_TERMS, light_bases
 
 __all__ = ["LightEquations", "LightScript", "epoch_frames", "light_at", "light_script", "light_terms"]
 
-Doubles = NDArray[np.float64]
 LightScript: TypeAlias = tuple[tuple[int, Doubles], ...]
 """First frame and factors (8,) of each light, in order; the first one also holds before its frame."""
 

@@ -21,8 +21,10 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
+from threedvc.render.hole_filling import fill_unknown
 from threedvc.render.ray_grid import RayGrid
-from threedvc.render.renderer import Renderer, RenderModel, fill_unknown
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
 
 __all__ = ["Guess", "guess_surfaces"]
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.gains import apply_gain, quantised_gain
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import Observation
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.model.decoded_model import EvidenceModel
 
 __all__ = ["camera_gain", "with_gain"]
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import FusionConfig
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.kernels.encoder.fusion import fuse_color, integrate_depth, mark_blocks, visible_blocks
-from threedvc.model.decoded_model import EvidenceModel
 from threedvc.parallel import for_ranges
 
 __all__ = ["Observation", "camera_parameters", "confidence_of", "free_space_log_odds", "fuse", "observe"]

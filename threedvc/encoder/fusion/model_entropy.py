@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.kernels.encoder.uncertainty import block_entropies
-from threedvc.model.decoded_model import EvidenceModel
 from threedvc.parallel import for_ranges
 
 __all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "misled_bits"]

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from threedvc.coding.picture_sequence import can_encode_sequences, decode_sequence, encode_sequence
 from threedvc.decoder.replay import played
 from threedvc.encoder.rate.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stream_bytes
-from threedvc.encoder.reconstruction.pose_refinement import mean_misfit
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.frames.frame import FrameSequence
+from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
+from threedvc.metrics.depth_errors import mean_misfit
 from threedvc.render.captured_depth import LEVELS, FilmedDepth, depth_levels
-from threedvc.render.renderer import fill_unknown
-from threedvc.stream.packets import Packet, VideoHeader
+from threedvc.render.hole_filling import fill_unknown
+from threedvc.stream.headers import VideoHeader
+from threedvc.stream.packets import Packet
 
 __all__ = ["worthwhile_videos"]
 

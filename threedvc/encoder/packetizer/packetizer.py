@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from math import inf
 from typing import Any, NamedTuple
 
@@ -24,29 +23,28 @@ from threedvc.coding.relief import encode_relief
 from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
-from threedvc.decoder.decoder import models_digest
-from threedvc.decoder.sensor_state import nearest_multiple
 from threedvc.encoder.appearance.appearance_fit import Finish
 from threedvc.encoder.appearance.background_depth import RELIEF_BITS, DepthChoice
 from threedvc.encoder.appearance.lighting import light_at
-from threedvc.encoder.fusion.surface_extraction import Surface, changes, first_sights, in_regions, read_surface
+from threedvc.encoder.fusion.surface_extraction import Surface, in_regions, read_surface
+from threedvc.encoder.rate.model_updates import changes, first_sights
 from threedvc.encoder.rate.rate_control import LeakyBucket, stream_bytes
 from threedvc.encoder.rate.region_of_interest import finer, focused
 from threedvc.encoder.rate.trial_coding import color_settings, one_shot
 from threedvc.encoder.rate.update_priority import best_part
-from threedvc.encoder.reconstruction.scene import Scene, SceneObject
-from threedvc.frames.frame import NANOSECONDS
-from threedvc.geometry.camera import Camera
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.limits import MAX_COUNT
-from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
 from threedvc.model.post_filter import PictureFilter
-from threedvc.render.renderer import Renderer, RenderModel
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
+from threedvc.stream.batch import pack_batch
 from threedvc.stream.color_times import color_times_packet
 from threedvc.stream.frame_report import FrameReport, report_packet
-from threedvc.stream.input_options import input_options_packet
-from threedvc.stream.packets import (
+from threedvc.stream.headers import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
@@ -58,15 +56,16 @@ from threedvc.stream.packets import (
     ModelHeader,
     ObjectHeader,
     OrderHeader,
-    Packet,
     PoseHeader,
     ReliefHeader,
     SensorHeader,
     ShiftHeader,
     StreamHeader,
     TextureHeader,
-    pack_batch,
 )
+from threedvc.stream.input_options import input_options_packet
+from threedvc.stream.packets import Packet
+from threedvc.stream.sensor_description import camera_record, clock_record, nearest_multiple, transform_record
 from threedvc.stream.sensor_order import Turn, Turns, pack_cycle, shortest_cycle
 from threedvc.stream.wire import pack_signed_varint
 
@@ -168,7 +167,7 @@ class Emitter:
         self._turns = Turns()
         self._sent: dict[int, _Sent] = {}
         self._color = color_settings(config.color, scene.info.grey)
-        self._clocks = [_clock(sensor.fps) for sensor in sensors]
+        self._clocks = [clock_record(sensor.fps) for sensor in sensors]
         self._batched = 0
         self._untold: list[FrameReport] = []
         self._rest = min(round(MAX_LIVE_REST_S * scene.info.fps), MAX_REST) if config.causal else MAX_REST
@@ -206,7 +205,7 @@ class Emitter:
         return [stream.packet(), *sensors, *told]
 
     def _sensor_header(self, number: int) -> SensorHeader:
-        mount = _transform_record(self._info.rigs[number].T_depth_base)
+        mount = transform_record(self._info.rigs[number].T_depth_base)
         return SensorHeader(**self._described(number), T_depth_base=mount)
 
     def _described(self, number: int) -> dict[str, Any]:
@@ -214,9 +213,9 @@ class Emitter:
         sensor = self._info.each_sensor[number]
         rig, (period_num, period_den) = sensor.rig, self._clocks[number]
         return {
-            "color_camera": _camera_record(rig.color),
-            "depth_camera": () if rig.depth == rig.color else _camera_record(rig.depth),
-            "T_color_depth": _transform_record(rig.T_color_depth),
+            "color_camera": camera_record(rig.color),
+            "depth_camera": () if rig.depth == rig.color else camera_record(rig.depth),
+            "T_color_depth": transform_record(rig.T_color_depth),
             "depth_scale": sensor.depth_scale,
             "start_ns": self._start(number),
             "period_num": period_num,
@@ -563,17 +562,3 @@ def _runs(moving: Sequence[bool]) -> list[tuple[int, int]]:
         else:
             runs.append((frame, frame + 1))
     return runs
-
-
-def _camera_record(camera: Camera) -> tuple[float, ...]:
-    return (camera.width, camera.height, *camera.parameters().tolist())
-
-
-def _transform_record(T: Pose) -> tuple[float, ...]:
-    return () if np.array_equal(T, np.eye(4)) else tuple(T[:3].ravel().tolist())
-
-
-def _clock(fps: float) -> tuple[int, int]:
-    """Return the frame period in nanoseconds as a fraction."""
-    period = NANOSECONDS / Fraction(fps).limit_denominator(100_000)
-    return period.numerator, period.denominator

@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 
 from threedvc.coding.filters import MAX_FACTOR
 from threedvc.coding.gains import apply_gain
-from threedvc.decoder.decoder import FrameState
+from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.replay import played
 from threedvc.encoder.rate.rate_control import SHARE_PER_BYTE
-from threedvc.frames.frame import FrameSequence, spread_step
+from threedvc.frames.sequence import FrameSequence, spread_step
 from threedvc.kernels.render.picture_filter import add_filter_equations
 from threedvc.model.post_filter import KINDS, PAIRS, PictureFilter, planes_of
 from threedvc.parallel import for_ranges
-from threedvc.render.renderer import Renderer, RenderModel
-from threedvc.stream.packets import Packet, StreamHeader
+from threedvc.render.render_model import RenderModel
+from threedvc.render.renderer import Renderer
+from threedvc.stream.headers import StreamHeader
+from threedvc.stream.packets import Packet
 
 __all__ = ["FILTER_BYTES", "fitted_filter"]
 

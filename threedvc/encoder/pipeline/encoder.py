@@ -9,10 +9,10 @@ out in the end. A live encoder sends each group as soon as it is fused.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import replace
 from math import inf
-from typing import TypeAlias, cast
+from typing import cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.packetizer.depth_video import worthwhile_videos
 from threedvc.encoder.packetizer.packetizer import Emitter
 from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fitted_filter
+from threedvc.encoder.pipeline.cell_choice import cheap_relief, surface_bytes
 from threedvc.encoder.rate.rate_control import (
     CLOSE,
     FINER,
@@ -35,28 +36,25 @@ from threedvc.encoder.rate.rate_control import (
     stream_bytes,
     surface_room,
 )
-from threedvc.encoder.rate.trial_coding import cheap_relief, surface_bytes
+from threedvc.encoder.reconstruction.color_calibration import calibrated_info
+from threedvc.encoder.reconstruction.depth_consistency import depth_misfit, noisier_sensors
 from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
 from threedvc.encoder.reconstruction.loop_closure import closed_loops
-from threedvc.encoder.reconstruction.pose_refinement import (
-    calibrated_info,
-    depth_misfit,
-    noisier_sensors,
-    refined_script,
-)
+from threedvc.encoder.reconstruction.pose_refinement import refined_script
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.segmentation.sequence_labels import MOST_LOST, Division
+from threedvc.encoder.tracking.pose_track import Located, along_with_the_room, bridged, joined_parts
 from threedvc.encoder.tracking.registration import RegistrationConfig, Status
-from threedvc.encoder.tracking.tracker import Located, along_with_the_room, bridged, joined_parts
 from threedvc.encoder.tracking.trajectory_smoothing import settled
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
-from threedvc.frames.frame import Frame, FrameSequence, SequenceInfo, ThinnedSequence, moments, spread_step
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameSequence, ThinnedSequence, moments, spread_step
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.model.post_filter import PictureFilter
-from threedvc.stream.frame_report import FrameReport
+from threedvc.stream.frame_report import FrameReport, OnFrame
 from threedvc.stream.packets import Packet, PacketType
 
-__all__ = ["Encoder", "OnFrame", "verified"]
+__all__ = ["Encoder", "verified"]
 
 FILE_GROUP_S = 2
 TRIAL_FRAMES = 100
@@ -80,7 +78,6 @@ SHIFT_BYTES = 3
 LEAST_CELL_FACTOR, LEAST_SHIFTED_FACTOR = 0.45, 0.65
 """Cells narrower than about two pixels are not tried, or three where colour and depth have rays of their own: a decoder
 would draw them slowly."""
-OnFrame: TypeAlias = Callable[[FrameReport], None]
 
 
 class Encoder:

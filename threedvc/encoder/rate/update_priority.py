@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import FusionConfig
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import UNKNOWN_BITS, channel_bits, misled_bits
-from threedvc.metrics.picture_quality import bernoulli_entropy_bits
+from threedvc.metrics.entropy import bernoulli_entropy_bits
 from threedvc.model.block_index import BLOCK_CELLS
-from threedvc.model.decoded_model import DecodedModel, EvidenceModel
+from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
 __all__ = ["best_part", "bits_lifted", "bits_taken"]

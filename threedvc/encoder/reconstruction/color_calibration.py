@@ -17,11 +17,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.frames.frame import Frame
+from threedvc.arrays import Doubles
+from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 
-__all__ = ["Sighting", "calibrate", "sighting"]
+__all__ = ["Sighting", "calibrate", "calibrated_info", "sighting"]
 
 BLURS_PX = (6.0, 3.0, 1.5)
 STEPS = 8
@@ -40,7 +44,9 @@ STEP_SIZE = 1e-3
 SAMPLES_PER_WITNESS = 50
 """Neighbouring samples are not independent; so many of them count as one against the prior."""
 
-Doubles = NDArray[np.float64]
+
+CALIBRATION_FRAMES = 40
+CALIBRATION_POINTS = 5000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -218,3 +224,28 @@ def _disagreement(
         among = np.var(luma[used])
         ratios.append(float(np.sqrt(within.mean() / max(among, 1.0))))
     return ratios[0], ratios[1]
+
+
+def calibrated_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
+    """Calibrate the colour cameras on the background; None where all present ones are as good.
+
+    Objects that move before a camera at rest change their shade as they turn, which would be taken for
+    a wrong camera.
+    """
+    item = scene.objects[0]
+    surface = read_surface(item.evidence, scene.config.threads)
+    points = np.asarray((surface.cells + 0.5) * item.evidence.voxel_size_m, dtype=np.float64)
+    chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]
+    found, rigs = [], scene.info.rigs
+    for sensor, rig in enumerate(rigs):
+        taken = [frame for frame in range(len(frames)) if scene.sensors[frame] == sensor]
+        sightings = []
+        for frame in taken[:: max(1, len(taken) // CALIBRATION_FRAMES)]:
+            at = item.found[frame]
+            if at is not None and at.usable:
+                T_camera_object = rig.at_sensor(at.T_camera_object)
+                sightings.append(sighting(points[chosen], scene.limited(frames[frame]), T_camera_object, rig.depth))
+        found.append(calibrate(rig, sightings))
+    if not any(found):
+        return None
+    return scene.info.with_rigs([better or rig for better, rig in zip(found, rigs, strict=True)])

@@ -13,19 +13,19 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.reconstruction.pose_graph import twist_of
-from threedvc.encoder.reconstruction.pose_refinement import mean_misfit
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.alignment import Alignment
 from threedvc.encoder.tracking.initial_poses import register_from_starts
 from threedvc.encoder.tracking.model_view import cast_view
 from threedvc.encoder.tracking.registration import RegistrationConfig, Status
-from threedvc.frames.frame import FrameSequence, SequenceInfo
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, orthonormalised, rotation_from_vector
-from threedvc.model.decoded_model import EvidenceModel
+from threedvc.frames.frame import SequenceInfo
+from threedvc.frames.sequence import FrameSequence
+from threedvc.geometry.pose import Pose, compose, inverse, make_pose, orthonormalised, rotation_from_vector, twist_of
+from threedvc.metrics.depth_errors import mean_misfit
 
 __all__ = ["mounted_info"]
 
@@ -39,8 +39,6 @@ WORTHWHILE = 0.97
 """Part of the misfit that another mounting must leave at most."""
 BY_DEPTH = RegistrationConfig(luma_weight=0.1)
 """Sensors see colours each in its own way, and calibration of the colour cameras comes later."""
-
-Doubles = NDArray[np.float64]
 
 
 class _Said(NamedTuple):

@@ -20,9 +20,9 @@ from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.alignment import Alignment
 from threedvc.encoder.tracking.initial_poses import register_from_starts
 from threedvc.encoder.tracking.model_view import FrameViews
+from threedvc.encoder.tracking.pose_track import Located
 from threedvc.encoder.tracking.registration import ModelView, RegistrationConfig, Status, frame_view
-from threedvc.encoder.tracking.tracker import Located
-from threedvc.frames.frame import FrameSequence
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, compose, identity, interpolated, inverse, rotation_angle
 
 __all__ = ["closed_loops", "corrected", "key_numbers"]

@@ -13,19 +13,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles
 from threedvc.geometry.pose import (
     Pose,
+    adjoint,
     compose,
     inverse,
     make_pose,
     orthonormalised,
     rotation_from_vector,
-    rotation_vector,
+    twist_of,
 )
 
-__all__ = ["Link", "adjoint", "optimised", "twist_of"]
+__all__ = ["Link", "optimised"]
 
 STEPS = 30
 GRADES = 12
@@ -33,8 +34,6 @@ GRADES = 12
 CONVERGED = 1e-7
 OUTLIER = 6.0
 """Residual in standard deviations, of all six together, at which a link has a quarter of its weight."""
-
-Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,11 +83,6 @@ def optimised(poses: Sequence[Pose], links: Sequence[Link]) -> list[Pose]:
     return poses
 
 
-def twist_of(motion: Pose) -> Doubles:
-    """Return turn and shift (6,) of a small motion."""
-    return np.concatenate([rotation_vector(motion[:3, :3]), motion[:3, 3]])
-
-
 def _motion(twist: Doubles) -> Pose:
     return make_pose(rotation_from_vector(twist[:3]), twist[3:])
 
@@ -107,13 +101,3 @@ def _add(link: Link, poses: Sequence[Pose], bound: float, matrix: Doubles, side:
     matrix[b, a] -= block
     side[a] -= pull
     side[b] += pull
-
-
-def adjoint(T: Pose) -> Doubles:
-    """Return what turns a small motion (turn, shift) in one frame into the same motion in another (6, 6)."""
-    x, y, z = T[:3, 3]
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    result = np.zeros((6, 6))
-    result[:3, :3] = result[3:, 3:] = T[:3, :3]
-    result[3:, :3] = across @ T[:3, :3]
-    return result

@@ -13,37 +13,33 @@ from threedvc.coding.gains import NEUTRAL
 from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig, Motion, SegmentationMode, Sensor
 from threedvc.encoder.fusion.exposure import camera_gain, with_gain
 from threedvc.encoder.fusion.integration import Observation, fuse, observe
-from threedvc.encoder.fusion.model_entropy import EntropyMeter
+from threedvc.encoder.fusion.noise_meter import NoiseMeter
 from threedvc.encoder.rate.rate_control import live_cell_factor
+from threedvc.encoder.reconstruction.cell_size import default_voxel_size
+from threedvc.encoder.reconstruction.pose_freedom import REST_PIXELS, displacement
+from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject
 from threedvc.encoder.segmentation.masks import resolved_mode, segment
 from threedvc.encoder.segmentation.moving_body import LOST_FRAMES
 from threedvc.encoder.segmentation.sequence_labels import NOTHING, PASSING_NUMBERS, Division
 from threedvc.encoder.tracking.initial_poses import predict
+from threedvc.encoder.tracking.joint_registration import Sight
 from threedvc.encoder.tracking.model_view import FrameViews, Thinned, cast_view, shown_and_measured
+from threedvc.encoder.tracking.pose_track import UNSEEN, Located, motion_of
 from threedvc.encoder.tracking.registration import Status
-from threedvc.encoder.tracking.tracker import PART_CELLS, UNSEEN, Located, Sight, Tracker, known_pose, motion_of
+from threedvc.encoder.tracking.tracker import PART_CELLS, Tracker
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo, check_frame
-from threedvc.frames.sensor_model import SENSORS, NoiseMeter, SensorModel, chosen_sensor, within
-from threedvc.geometry.camera import CameraRig
-from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_angle
-from threedvc.model.decoded_model import EvidenceModel
+from threedvc.frames.sensor_model import SENSORS, SensorModel, chosen_sensor, within
+from threedvc.geometry.pose import Pose, inverse, make_pose
 
-__all__ = ["Scene", "SceneObject", "default_voxel_size"]
+__all__ = ["Scene"]
 
-MIN_PIXELS = 30
 MAX_DEPTH_M = 1e4
-PIXELS_PER_CELL = 4.0
-MIN_PIXELS_PER_CELL = 1.3
 BACKDROP_CELLS = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
-REFERENCE_PIXELS = 640 * 480
-SIGHT_FRAMES = 5
 MIN_PATIENCE = 5
 """Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
 PREDICTION_GATE = 0.03
-REST_PIXELS = 0.5
-"""A camera that is tracked and never goes further than this stands still, and trembles by the noise of its depth."""
 AWAY_M = 1000.0
 """Where an object is put that left: so far behind the camera that nobody will see it."""
 AWAY = make_pose(np.eye(3), np.array([0.0, 0.0, -AWAY_M]))
@@ -59,17 +55,6 @@ METERED_FRAMES = 12
 STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
-def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], rig: CameraRig) -> float:
-    """Choose a cell that covers about 4 pixels of a 640x480 picture at the depth that 3/4 of an object do not exceed.
-
-    Small pictures get finer cells against their pixels; the size is rounded to a millimetre.
-    """
-    seen = depth[mask & (depth > 0)]
-    distance = float(np.percentile(seen, 75)) if len(seen) else 1.0
-    pixels = max(PIXELS_PER_CELL * float(np.sqrt(depth.size / REFERENCE_PIXELS)), MIN_PIXELS_PER_CELL)
-    return max(round(pixels * distance / rig.depth.fx, 3), 0.001)
-
-
 @dataclass(kw_only=True, eq=False)
 class _Look:
     """A frame to be taken in: its forms, the objects' numbers (h, w), and what is fused."""
@@ -77,103 +62,6 @@ class _Look:
     views: FrameViews
     labels: NDArray[np.uint8]
     seen: Observation
-
-
-class SceneObject:
-    """One object in the encoder.
-
-    Attributes
-    ----------
-    number
-        Its number; 0 is the background.
-    evidence
-        Its model.
-    found
-        Where it was found in every frame so far; None where it was not.
-    poses
-        T_camera_object before the base in every frame so far: an unseen object keeps its last pose, at first its
-        first one.
-    born
-        First frame in which it was found.
-    sized_by
-        Number of pixels of the frame that its cells were chosen by.
-    passing
-        Whether it stands for things that are there for a moment.
-    """
-
-    def __init__(self, number: int, voxel_size_m: float, tracker: Tracker | None, *, passing: bool = False) -> None:
-        self.number, self.passing = number, passing
-        self.evidence = EvidenceModel(voxel_size_m)
-        self.tracker = tracker
-        self.entropy = EntropyMeter(self.evidence)
-        self.found: list[Located | None] = []
-        self.poses: list[Pose] = []
-        self.born: int | None = None
-        self.sized_by = 0
-        self._stayed = 0, True
-        self._last_sight = np.zeros(0, dtype=np.int64)
-
-    def begin_anew(self, voxel_size_m: float, pixels: int) -> None:
-        """Take other cells, chosen by a frame that shows `pixels` of the object, and forget what the old ones held."""
-        self.evidence = EvidenceModel(voxel_size_m)
-        self.entropy = EntropyMeter(self.evidence)
-        self._last_sight = np.zeros(0, dtype=np.int64)
-        self.sized_by = pixels
-
-    def locate(self, sights: Sequence[Sight], rigs: Sequence[CameraRig], alone: bool) -> Located | None:
-        """Find the object in the frames of a moment; None where it is not seen and its pose is not known."""
-        if self.tracker is None:
-            known = ((views.rig, known_pose(self.number, views.frame, alone)) for views, _ in sights)
-            pose = next((rig.at_base(pose) for rig, pose in known if pose is not None), None)
-            return None if pose is None else Located(T_camera_object=pose, status="known")
-        seeing = [each for each in sights if np.count_nonzero(each.mask & (each.views.frame.depth > 0)) >= MIN_PIXELS]
-        if not seeing:
-            views = sights[0].views
-            blind = self.number == 0 and self.born is not None and not views.frame.depth.any()
-            return self.tracker.locate_by_picture(views) if blind else None
-        if self.born is None:
-            return self.tracker.start(*seeing[0], self.number, *rigs)
-        return self.tracker.locate_together(seeing, self.evidence)
-
-    def note_sight(self, numbers: NDArray[np.int64], frame: int) -> None:
-        """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
-        more = self.evidence.index.count - len(self._last_sight)
-        self._last_sight = np.concatenate([self._last_sight, np.full(more, frame)])
-        self._last_sight[numbers] = frame
-
-    @property
-    def in_sight(self) -> NDArray[np.bool_]:
-        """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
-        return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
-
-    @property
-    def stayed(self) -> bool:
-        """Whether it was found at one place only."""
-        if self._stayed[0] != len(self.found):
-            usable = [at.T_camera_object for at in self.found if at is not None and at.usable]
-            self._stayed = len(self.found), all(np.array_equal(pose, usable[0]) for pose in usable)
-        return self._stayed[1]
-
-    @property
-    def last_seen(self) -> int:
-        """The last frame in which it was found."""
-        return max(frame for frame, at in enumerate(self.found) if at is not None and at.usable)
-
-    @property
-    def out_of_sight(self) -> bool:
-        """Whether it was not in sight in the last frame."""
-        return bool(self.found) and self.found[-1] is not None and self.found[-1].status == UNSEEN
-
-    def record(self, frame: int, at: Located | None) -> None:
-        """Keep where the object was found in a frame; frames before it appeared count as not found."""
-        if at is not None and self.born is None:
-            self.born = frame
-            self.poses = [at.T_camera_object] * frame
-        last = self.poses[-1] if self.poses else identity()
-        self.poses += [last] * (frame - len(self.poses))
-        self.poses.append(last if at is None else at.T_camera_object)
-        self.found += [None] * (frame - len(self.found))
-        self.found.append(at)
 
 
 class Scene:
@@ -450,7 +338,7 @@ class Scene:
         if item.tracker is None or not tracked:
             return False
         focal = max(rig.depth.fx for rig in self.info.rigs)
-        return all(_displacement(inverse(tracked[0]) @ pose, self.distance_m) * focal < REST_PIXELS for pose in tracked)
+        return all(displacement(inverse(tracked[0]) @ pose, self.distance_m) * focal < REST_PIXELS for pose in tracked)
 
     def may_move(self, number: int) -> bool:
         """Tell whether the poses of an object are worth refining in some frame."""
@@ -563,11 +451,6 @@ class Scene:
 def _shows_much(frame: Frame) -> bool:
     """Tell whether a frame has depth on enough of its pixels to tell what sensor and scene there are."""
     return bool(np.count_nonzero(frame.depth) >= SETTLING_SHARE * frame.depth.size)
-
-
-def _displacement(T: Pose, distance_m: float) -> float:
-    """Return by how much a motion displaces what lies at a distance at most, in slopes."""
-    return rotation_angle(T) + float(np.linalg.norm(T[:3, 3])) / max(distance_m, 1e-6)
 
 
 def _same_pictures(one: Frame, other: Frame) -> bool:

@@ -18,8 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Floats, Labels, Mask
 from threedvc.config import EncoderConfig, FusionConfig, Motion
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import Observation, fuse, observe
+from threedvc.encoder.segmentation.downsampling import Reduction
 from threedvc.encoder.segmentation.free_space import Memory
 from threedvc.encoder.segmentation.moving_body import HUES, LOST_FRAMES, Body
 from threedvc.encoder.tracking.model_view import FrameViews, Thinned, cast_view
@@ -29,17 +32,15 @@ from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SensorModel, chosen_sensor, within
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_angle
-from threedvc.kernels.encoder.free_space import connect_surfaces, spread_labels
-from threedvc.model.decoded_model import EvidenceModel
-from threedvc.parallel import for_ranges
+from threedvc.kernels.encoder.free_space import connect_surfaces
 
-__all__ = ["PASSING", "TRANSIENT", "Divider", "Reduction"]
+__all__ = [
+    "PASSING",
+    "TRANSIENT",
+    "Divider",
+]
 
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Labels = NDArray[np.uint16]
 
-WORKING_PIXELS = 80_000
 NEAR_OFFSETS = (3, 6, 10, 15, 21, 28, 36, 45, 55, 66, 78, 91, 105)
 LANDMARK, MAX_LANDMARKS = 4, 16
 """Frames apart of those that all frames ask while the camera rests, and how many there may be before they thin out."""
@@ -75,40 +76,6 @@ PASSING = 65535
 CELL_PIXELS, ROOM_CELLS = 2.0, 2.0
 COARSE_PIXELS = 60_000
 FUSION = FusionConfig()
-
-
-class Reduction:
-    """Frames at every n-th pixel, so that about `WORKING_PIXELS` are left."""
-
-    def __init__(self, info: SequenceInfo) -> None:
-        camera = info.rig.depth
-        self.stride = 1
-        while camera.width * camera.height > WORKING_PIXELS * self.stride**2:
-            self.stride += 1
-        self._registered = info.rig.registered
-        small = camera.every(self.stride)
-        self.rig = CameraRig.registered_to(small) if self._registered else replace(info.rig, depth=small)
-
-    def __call__(self, frame: Frame) -> Frame:
-        """Return a frame reduced, without its mask."""
-        n, color = self.stride, frame.color
-        if self._registered and n > 1:
-            color = np.ascontiguousarray(cv2.blur(color, (n, n))[::n, ::n])
-        return replace(frame, color=color, depth=self.thin(frame.depth), mask=None)
-
-    def thin(self, depth: Floats) -> Floats:
-        """Return every n-th pixel of a depth picture."""
-        return np.ascontiguousarray(depth[:: self.stride, :: self.stride])
-
-    def spread(self, labels: NDArray[np.uint8], depth: Floats, threads: int) -> NDArray[np.uint8]:
-        """Return the labels of all pixels of a depth picture (h, w) from those of a reduced one."""
-        full, small = np.empty(depth.shape, np.uint8), self.thin(depth)
-
-        def work(start: int, stop: int) -> None:
-            spread_labels(depth, self.stride, labels, small, full, start, stop)
-
-        for_ranges(work, len(depth), threads)
-        return full
 
 
 @dataclass(eq=False)

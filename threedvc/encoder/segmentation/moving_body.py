@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.tracking.initial_poses import predict
-from threedvc.encoder.tracking.tracker import Located, Tracker
+from threedvc.encoder.tracking.pose_track import Located
+from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.model.decoded_model import EvidenceModel
 
 __all__ = ["HUES", "LOST_FRAMES", "Body"]
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from threedvc.config import EncoderConfig
 from threedvc.encoder.segmentation.motion_segmenter import PASSING, TRANSIENT, Divider
 from threedvc.encoder.segmentation.moving_body import Body
-from threedvc.frames.frame import Frame, FrameSequence, SequenceInfo
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, inverse
 
 __all__ = ["MOST_LOST", "NOTHING", "PASSING_NUMBERS", "Division", "Passing"]

@@ -14,14 +14,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats, Mask
+from threedvc.encoder.tracking.frame_samples import (
+    MAX_JUMP,
+    SMALLEST_SIDE,
+    Samples,
+    detail,
+    halved,
+    level_samples,
+    masked_luma,
+    normal_reach,
+)
 from threedvc.encoder.tracking.registration_types import (
-    Doubles,
-    Floats,
-    Mask,
     ModelView,
     Registration,
     RegistrationConfig,
@@ -36,17 +43,13 @@ from threedvc.geometry.pose import Pose, inverse, make_pose, orthonormalised, ro
 from threedvc.kernels.encoder import registration as kernels
 from threedvc.parallel import for_ranges
 
-__all__ = ["MAX_JUMP", "Alignment", "masked_luma", "normal_reach"]
+__all__ = ["Alignment"]
 
 CHUNK = 512
 THREADED_SAMPLES = 32768
 MEDIAN_SAMPLES = 2048
 AGREEING_SAMPLES = 768
-MIN_LEVEL_SAMPLES = 1500
 MIN_ASSOCIATED = 12
-SMALLEST_SIDE = 24
-NORMAL_REACH_PARTS = 160
-MAX_JUMP = 0.04
 MAD_TO_SIGMA = 1.4826
 MIN_DEPTH_SCALE = 0.5
 MAX_DEPTH_SCALE = 2.0
@@ -63,29 +66,6 @@ INLIER_M = 0.005
 """Real sensors are wrong by some millimetres however smooth their depth and however near the surface."""
 INLIER_LUMA = 30.0
 MIN_TEST_BLOCKS = 8
-
-
-def normal_reach(camera: Camera) -> int:
-    """Return the pixels to each side across which normals are taken, as fits the picture's size."""
-    return max(1, round(camera.width / NORMAL_REACH_PARTS))
-
-
-def masked_luma(intensity: Floats, mask: Mask | None) -> Floats:
-    """Return the luma with NaN outside an object's pixels."""
-    return intensity if mask is None else np.where(mask, intensity, np.float32(np.nan))
-
-
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """Samples of a frame at one level: rows of `kernels.sample_frame`, luma, its slopes by pixel, depth noise."""
-
-    surface: Doubles
-    luma: Doubles
-    slopes: Doubles
-    sigma: Doubles
-
-    def __len__(self) -> int:
-        return len(self.surface)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +117,7 @@ class Alignment:
         self.view_lumas = self._luma_levels(view.intensity)
         surface, sigma = self._sample_surface(depth, mask, sigma_m)
         lumas = self._luma_levels(masked_luma(intensity, mask))
-        self.samples = [_level_samples(surface, sigma, luma, level) for level, luma in enumerate(lumas)]
+        self.samples = [level_samples(surface, sigma, luma, level) for level, luma in enumerate(lumas)]
         # Medians, because a few readings may be absurdly far.
         self.centre = np.median(surface[:, :3], axis=0) if len(surface) else np.array([0.0, 0.0, 1.0])
         ways = np.linalg.norm(surface[:, :3] - self.centre, axis=1)
@@ -225,9 +205,9 @@ class Alignment:
         count = min(config.levels, 1 + int(np.log2(max(1.0, min(luma.shape) / SMALLEST_SIDE))))
         pictures = [np.ascontiguousarray(luma, dtype=np.float32)]
         for _ in range(count - 1):
-            pictures.append(_halved(pictures[-1]))
+            pictures.append(halved(pictures[-1]))
         if config.detail_pixels:
-            pictures[0] = _detail(pictures[0], config.detail_pixels)
+            pictures[0] = detail(pictures[0], config.detail_pixels)
         return pictures
 
     def _sample_surface(self, depth: Floats, mask: Mask | None, sigma_m: Sigma) -> tuple[Doubles, Doubles]:
@@ -276,7 +256,7 @@ class Alignment:
             return None
         return self._measured(rows, states, samples, exposure)
 
-    def _measured(self, rows: Doubles, states: NDArray[np.uint8], samples: _Samples, exposure: Doubles | None) -> _Fit:
+    def _measured(self, rows: Doubles, states: NDArray[np.uint8], samples: Samples, exposure: Doubles | None) -> _Fit:
         """Measure the exposure, if there is none yet, and the scales of both residuals."""
         some = slice(None, None, max(1, len(rows) // MEDIAN_SAMPLES))
         level, luma = samples.luma[some] - kernels.LUMA_CENTRE, rows[some, 10]
@@ -290,7 +270,7 @@ class Alignment:
         scales = np.array([depth_scale, luma_scale, depth_weight, self.config.luma_weight])
         return _Fit(rows, states, scales, exposure)
 
-    def _normal_equations(self, fit: _Fit, samples: _Samples, centre: Doubles) -> tuple[Doubles, Doubles]:
+    def _normal_equations(self, fit: _Fit, samples: Samples, centre: Doubles) -> tuple[Doubles, Doubles]:
         sums = np.empty((-(-len(samples) // CHUNK), 2, kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
 
         def work(start: int, stop: int) -> None:
@@ -306,7 +286,7 @@ class Alignment:
         luma[7, 7] += 1e-9
         return depth, luma
 
-    def _agreement(self, fit: _Fit, samples: _Samples, T_view_frame: Pose, centre: Doubles) -> tuple[Doubles, Doubles]:
+    def _agreement(self, fit: _Fit, samples: Samples, T_view_frame: Pose, centre: Doubles) -> tuple[Doubles, Doubles]:
         """Return what shape and picture say of a motion (turn, shift) as far as view and frame agree, (6, 6) each.
 
         Noise tilts the normals of both and has slopes in both pictures, but not alike: in products of the one with the
@@ -403,56 +383,18 @@ def _median(values: Doubles, default: float) -> float:
     return float(np.median(known)) if len(known) else default
 
 
-def _halved(luma: Floats) -> Floats:
-    halved = np.empty((luma.shape[0] // 2, luma.shape[1] // 2), dtype=np.float32)
-    kernels.halve_luma(luma, halved, 0, len(halved))
-    return halved
-
-
-def _detail(luma: Floats, side: int) -> Floats:
-    """Return luma against the mean of the known pixels around, about the same level as before."""
-    known = np.isfinite(luma)
-    mean = _window_mean(np.where(known, luma, np.float32(0)), side)
-    if not known.all():
-        mean /= np.maximum(_window_mean(known.astype(np.float32), side), np.float32(1e-6))
-    return luma - mean + np.float32(kernels.LUMA_CENTRE)
-
-
-def _window_mean(picture: Floats, side: int) -> Floats:
-    mean = cv2.boxFilter(picture, -1, (side, side), borderType=cv2.BORDER_REFLECT_101)
-    return np.asarray(mean, dtype=np.float32)
-
-
-def _level_samples(surface: Doubles, sigma: Doubles, luma: Floats, level: int) -> _Samples:
-    """Thin out the samples for a level and look up its luma."""
-    step = max(1, min(4**level, len(surface) // MIN_LEVEL_SAMPLES))
-    chosen = np.ascontiguousarray(surface[::step])
-    values = np.empty(len(chosen))
-    kernels.sample_luma(luma, 0.5**level, chosen, values, 0, len(chosen))
-    return _Samples(chosen, values, _slopes(luma, 0.5**level, chosen), np.ascontiguousarray(sigma[::step]))
-
-
 def _without_contradictions(information: Doubles) -> Doubles:
     """Return the nearest matrix without negative directions: where view and frame contradict, nothing is known."""
     values, directions = np.linalg.eigh(information)
     return np.asarray(directions * np.maximum(values, 0) @ directions.T)
 
 
-def _slopes(luma: Floats, scale: float, samples: Doubles) -> Doubles:
-    """Return the slopes (n, 2) of a shrunk luma picture at samples, by unshrunk pixels; NaN beside unknown ones."""
-    height, width = luma.shape
-    columns, rows = np.rint((samples[:, 6:8] + 0.5) * scale - 0.5).astype(np.intp).T
-    columns, rows = np.clip(columns, 1, width - 2), np.clip(rows, 1, height - 2)
-    along = luma[rows, columns + 1] - luma[rows, columns - 1], luma[rows + 1, columns] - luma[rows - 1, columns]
-    return np.column_stack(along) * (0.5 * scale)
-
-
-def _luma_residuals(fit: _Fit, samples: _Samples) -> Doubles:
+def _luma_residuals(fit: _Fit, samples: Samples) -> Doubles:
     expected: Doubles = fit.exposure[0] * (samples.luma - kernels.LUMA_CENTRE) + fit.exposure[1]
     return fit.rows[:, 10] - expected
 
 
-def _fits(fit: _Fit, samples: _Samples) -> Mask:
+def _fits(fit: _Fit, samples: Samples) -> Mask:
     """Tell which samples lie on the view's surface and do not contradict its luma."""
     bound = np.maximum(np.maximum(INLIER_SIGMAS * samples.sigma, INLIER_DEPTH * samples.surface[:, 2]), INLIER_M)
     dark_or_bright = np.abs(_luma_residuals(fit, samples)) > INLIER_LUMA
@@ -465,7 +407,7 @@ def _tukey_cost(residuals: Doubles) -> Doubles:
     return cost
 
 
-def _costs(fit: _Fit, samples: _Samples, scales: Doubles) -> Doubles:
+def _costs(fit: _Fit, samples: Samples, scales: Doubles) -> Doubles:
     """Return the robust cost of every sample, NaN where it does not meet the surface."""
     luma = np.nan_to_num(_tukey_cost(_luma_residuals(fit, samples) / scales[1]), nan=0.0)
     cost: Doubles = scales[2] * _tukey_cost(fit.rows[:, 6] / (scales[0] * samples.sigma)) + scales[3] * luma

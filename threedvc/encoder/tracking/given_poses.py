@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from threedvc.config import Sensor
 from threedvc.encoder.tracking.model_view import FrameViews, Thinned
 from threedvc.encoder.tracking.registration import RegistrationConfig, Status, frame_view, register
-from threedvc.frames.frame import FactualSequence, Frame, FrameSequence
+from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import chosen_sensor
+from threedvc.frames.sequence import FactualSequence, FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.geometry.pose_readings import COMBINED, TRIED_READINGS, PoseReading, pose_reading

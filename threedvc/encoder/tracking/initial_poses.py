@@ -16,11 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.encoder.tracking.alignment import Alignment
 from threedvc.encoder.tracking.registration_types import (
-    Doubles,
-    Floats,
-    Mask,
     ModelView,
     Registration,
     RegistrationConfig,

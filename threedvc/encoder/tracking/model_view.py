@@ -9,14 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.tracking.registration import ModelView
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose
 from threedvc.kernels.encoder.raycast_evidence import cast_evidence, fill_between
-from threedvc.model.decoded_model import EvidenceModel
 from threedvc.parallel import for_ranges
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
+from threedvc.units import LUMA_WEIGHTS
 
 __all__ = ["FrameViews", "Thinned", "cast_view", "shown_and_measured"]
 
@@ -24,7 +25,7 @@ TRACKING_PIXELS = 120_000
 SMALL_OBJECT_PIXELS = 60_000
 SPARSE_PIXELS = 40_000
 Scalar = TypeVar("Scalar", bound=np.generic)
-LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+LUMA = np.array(LUMA_WEIGHTS, dtype=np.float32)
 
 
 class Thinned:

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from threedvc.encoder.tracking.given_poses import PairRegistration
-from threedvc.frames.frame import NANOSECONDS, Frame, FrameFacts, FrameSequence, SequenceInfo, facts_of
+from threedvc.frames.frame import Frame, SequenceInfo
+from threedvc.frames.sequence import FrameFacts, FrameSequence, facts_of
 from threedvc.geometry.pose import Pose, compose, identity, interpolated, inverse
+from threedvc.units import NANOSECONDS
 
 __all__ = ["CompletedPoses", "SequenceWithPoses", "complete_poses"]
 

@@ -13,8 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.encoder.reconstruction.pose_graph import adjoint, twist_of
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, orthonormalised, rotation_from_vector
+from threedvc.geometry.pose import (
+    Pose,
+    adjoint,
+    compose,
+    inverse,
+    make_pose,
+    orthonormalised,
+    rotation_from_vector,
+    twist_of,
+)
 
 __all__ = ["PoseWitness", "joint_pose"]
 

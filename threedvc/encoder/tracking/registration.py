@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.encoder.tracking.alignment import MAX_JUMP, Alignment, masked_luma, normal_reach
+from threedvc.arrays import Floats, Mask
+from threedvc.encoder.tracking.alignment import Alignment
+from threedvc.encoder.tracking.frame_samples import MAX_JUMP, masked_luma, normal_reach
 from threedvc.encoder.tracking.registration_types import (
-    Floats,
-    Mask,
     ModelView,
     Registration,
     RegistrationConfig,

@@ -11,14 +11,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats
 from threedvc.errors import ConfigError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
 
 __all__ = [
-    "Doubles",
-    "Floats",
-    "Mask",
     "ModelView",
     "Registration",
     "RegistrationConfig",
@@ -28,9 +26,6 @@ __all__ = [
     "check_size",
 ]
 
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Sigma = Callable[[Doubles], Doubles] | Floats
 
 

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
@@ -40,8 +41,6 @@ CANDIDATES = 3
 THUMBNAIL = (20, 15)
 MAX_TRIED = 48
 """Of more keyframes only those are matched whose small pictures are most like the frame's."""
-
-Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,44 +3,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias, TypedDict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.config import Motion
-from threedvc.encoder.tracking.alignment import Alignment
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.tracking.initial_poses import predict, register_from_starts
+from threedvc.encoder.tracking.joint_registration import (
+    JointResult,
+    RegistrationOptions,
+    Sight,
+    as_samples,
+    join_results,
+)
 from threedvc.encoder.tracking.model_view import FrameViews, cast_view, shown_and_measured
-from threedvc.encoder.tracking.pose_fusion import PoseWitness, joint_pose
+from threedvc.encoder.tracking.pose_track import Located
 from threedvc.encoder.tracking.registration import ModelView, Registration, RegistrationConfig, Status, register, rests
 from threedvc.encoder.tracking.registration_types import camera_rays
 from threedvc.encoder.tracking.relocalisation import Keyframes
-from threedvc.errors import ConfigError
-from threedvc.frames.frame import NANOSECONDS, Frame, SequenceInfo
+from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SensorModel
-from threedvc.geometry.camera import Camera, CameraRig
-from threedvc.geometry.pose import Pose, identity, interpolated, inverse, make_pose, orthonormalised, rotation_angle
-from threedvc.model.decoded_model import EvidenceModel
+from threedvc.geometry.camera import CameraRig
+from threedvc.geometry.pose import Pose, identity, interpolated, inverse, make_pose, orthonormalised
+from threedvc.units import NANOSECONDS
 
-__all__ = [
-    "PART_CELLS",
-    "UNSEEN",
-    "Located",
-    "Script",
-    "Sight",
-    "Tracker",
-    "along_with_the_room",
-    "bridged",
-    "joined_parts",
-    "known_pose",
-    "motion_of",
-    "pose_between",
-    "refined",
-    "refound",
-]
+__all__ = ["PART_CELLS", "Tracker"]
 
 SAME_SURFACE = 0.03
 DOUBTFUL = 0.75
@@ -56,8 +46,6 @@ MAX_AHEAD = 3.0
 CARRY_NS = NANOSECONDS // 5
 LEAST_KNOWN = 0.3
 """Where a view of the model has less than this part of a frame's pixels, the frame shows something new."""
-SAME_TURN_RAD, SAME_SHIFT = 0.1, 0.1
-"""Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance."""
 SLOWED = 0.5
 """Share of its motion with which an object is thought to go on if nothing determined some direction of it: else what
 noise made of it would go on for ever."""
@@ -66,108 +54,6 @@ LEAST_ALIKE, MOST_ALIKE = 20, 0.7
 """An object rests where so many pixels at least, and this part of them, differ by less than that of their depth."""
 COAST_FRAMES = 5
 """A lost object goes on as it went for so many frames, then stays."""
-SAME_REST = 1e-9
-UNSEEN = "unseen"
-"""Status of an object that is not in sight, at the pose it is taken to have."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Located:
-    """An object's pose in a frame, and how it was found: known, tracked, relocalised, weak, lost or unseen.
-
-    With several sensors T_camera_object is that before the base, which all of them are mounted on. The part is that of
-    the model which it was found by, see `Tracker`.
-    """
-
-    T_camera_object: Pose
-    status: str
-    part: int = 0
-
-    @property
-    def usable(self) -> bool:
-        """Whether the frame may be fused at this pose."""
-        return self.status not in (Status.LOST, UNSEEN)
-
-
-Script: TypeAlias = dict[int, list[Located | None]]
-"""Where every object is in every frame, by number; None where it is not."""
-
-
-def motion_of(number: int, info: SequenceInfo, motion: Motion) -> Motion:
-    """Decide whether the poses of an object are taken from the input or tracked.
-
-    The background of an input that knows poses of objects but none of the camera stands still.
-
-    Raises
-    ------
-    ConfigError
-        If poses are asked for that the input does not have.
-    """
-    known = info.has_camera_poses or (number == 0 and info.has_object_poses) if number == 0 else info.has_object_poses
-    if motion is Motion.KNOWN and not known:
-        raise ConfigError(
-            f"{info.name} has no poses for object {number}; give poses.txt or object_poses.json, or use --motion track"
-        )
-    if motion is Motion.AUTO:
-        return Motion.KNOWN if known else Motion.TRACK
-    return motion
-
-
-def known_pose(number: int, frame: Frame, only_label: bool) -> Pose | None:
-    """Return T_camera_object, before the sensor that took the frame, as the input gives it, or None where it does not.
-
-    With `only_label` an object whose number names no pose takes the only one there is: a depth threshold
-    finds one object, whatever its label.
-    """
-    if number == 0:
-        return identity() if frame.T_world_camera is None else inverse(frame.T_world_camera)
-    poses: Mapping[int, Pose] = frame.T_camera_object
-    if number in poses:
-        return poses[number]
-    return next(iter(poses.values())) if only_label and len(poses) == 1 else None
-
-
-_Seen: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], Camera]
-"""Depth, luma and mask (h, w) of a thinned frame, and its camera."""
-
-
-class _Options(TypedDict):
-    """What every call of the registration is given."""
-
-    sigma_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    threads: int
-    config: RegistrationConfig
-
-
-class Sight(NamedTuple):
-    """What one sensor sees of an object: the forms of its frame, and the object's pixels (h, w) in the depth camera."""
-
-    views: FrameViews
-    mask: NDArray[np.bool_]
-
-
-class _Registered(NamedTuple):
-    """The registration of one frame: what was found before its sensor, and what it was found with."""
-
-    found: Registration
-    seen: _Seen
-    view: ModelView
-    options: _Options
-    rig: CameraRig
-
-    @property
-    def at_base(self) -> Registration:
-        """What was found, with the pose before the base."""
-        return replace(self.found, T_camera_object=self.rig.at_base(self.found.T_camera_object))
-
-    def witness(self) -> PoseWitness | None:
-        """Return how surely the frame tells the pose; None where it hardly does."""
-        options = self.options
-        alignment = Alignment(*self.seen, self.view, options["sigma_m"], options["config"], options["threads"])
-        information = alignment.information(self.found.T_camera_object)
-        if information is None:
-            return None
-        return PoseWitness(self.at_base.T_camera_object, self.view.T_camera_object, information)
 
 
 class _Remembered(NamedTuple):
@@ -369,10 +255,10 @@ class Tracker:
         self._part = self._part_of(pose)
         return Located(T_camera_object=pose, status=Status.WEAK, part=self._part)
 
-    def _options(self, views: FrameViews) -> _Options:
+    def _options(self, views: FrameViews) -> RegistrationOptions:
         """Return what registration of a frame is given."""
         sensor = self._sensor if self._sensor_of is None else self._sensor_of(views.frame.sensor)
-        return _Options(sigma_m=sensor.sigma_m, threads=self._threads, config=self._config)
+        return RegistrationOptions(sigma_m=sensor.sigma_m, threads=self._threads, config=self._config)
 
     def _go(self, poses: list[Pose], frame: Frame) -> None:
         """Take over the pose in a frame, after that of the frame before if they are to be two."""
@@ -396,11 +282,11 @@ class Tracker:
         """Register the frames of a moment with their views; return what they say together, before the base."""
         witnesses = []
         for (frame_views, mask), view in zip(sights, views, strict=True):
-            seen, options, rig = _seen(frame_views, mask), self._options(frame_views), frame_views.rig
+            seen, options, rig = as_samples(frame_views, mask), self._options(frame_views), frame_views.rig
             search = register if near else register_from_starts
             found = search(*seen, view, rig.at_sensor(guess), **options)
-            witnesses.append(_Registered(found, seen, view, options, rig))
-        return _joined(witnesses)
+            witnesses.append(JointResult(found, seen, view, options, rig))
+        return join_results(witnesses)
 
     def _rests(self, sights: Sequence[Sight], views: Sequence[ModelView], last: Pose, found: Registration) -> bool:
         """Tell whether the object still has its last pose as far as all frames of a moment can tell."""
@@ -408,7 +294,7 @@ class Tracker:
             there = frame_views.rig.at_sensor
             here = replace(found, T_camera_object=there(found.T_camera_object))
             options = self._options(frame_views)
-            if not rests(*_seen(frame_views, mask), view, there(last), here, resting=self._resting, **options):
+            if not rests(*as_samples(frame_views, mask), view, there(last), here, resting=self._resting, **options):
                 return False
         return True
 
@@ -470,7 +356,7 @@ class Tracker:
             if apart_from is not None:
                 here = self._part_of(apart_from)
                 poses = [pose for pose in poses if self._part_of(pose) != here]
-            seen, options = _seen(views, mask), self._options(views)
+            seen, options = as_samples(views, mask), self._options(views)
             for pose in poses:
                 found = register(*seen, self._view(sight, model, pose), views.rig.at_sensor(pose), **options)
                 if found.status is Status.TRACKED:
@@ -513,201 +399,8 @@ class Tracker:
         return replace(view, intensity=np.where(same, last.luma, np.float32(np.nan)))
 
 
-def joined_parts(found: Sequence[Located | None], bridges: Mapping[int, tuple[Pose, int]]) -> list[Located | None]:
-    """Return located frames with parts of the model brought to where those that were recognised from them are.
-
-    Parameters
-    ----------
-    found
-        Where an object is in every frame.
-    bridges
-        As of `Tracker.bridges`.
-    """
-    motions = {}
-    for part in bridges:
-        T, at, seen = identity(), part, set[int]()
-        while at in bridges and at not in seen:
-            seen.add(at)
-            T, at = T @ bridges[at][0], bridges[at][1]
-        motions[part] = T, at
-    result: list[Located | None] = []
-    for at_frame in found:
-        if at_frame is not None and at_frame.part in motions:
-            T, part = motions[at_frame.part]
-            at_frame = replace(at_frame, T_camera_object=at_frame.T_camera_object @ T, part=part)
-        result.append(at_frame)
-    return result
-
-
-def _joined(witnesses: Sequence[_Registered]) -> Registration:
-    """Return what the registrations of the frames of a moment, at least one, say together, before the base.
-
-    Only those of the best status that agree with the one of most inliers count.
-    """
-    if len(witnesses) == 1:
-        return witnesses[0].at_base
-    best = next((s for s in (Status.TRACKED, Status.WEAK) if any(each.found.status is s for each in witnesses)), None)
-    chosen = [each for each in witnesses if each.found.status is best]
-    if not chosen:
-        return witnesses[0].at_base
-    chosen.sort(key=lambda each: -each.found.inliers)
-    leading = chosen[0].at_base
-    said = [witness for each in chosen if (witness := each.witness()) is not None]
-    distance_m = float(np.median(chosen[0].view.depth[chosen[0].view.depth > 0]))
-    agreeing = [each for each in said if _agree(each.T_base_object, leading.T_camera_object, distance_m)]
-    if len(agreeing) < 2:
-        return leading
-    return replace(leading, T_camera_object=joint_pose(agreeing))
-
-
 def _shows(sight: Sight, view: ModelView) -> bool:
     """Tell whether a view of the model shows enough where a frame shows something that they can be compared."""
     form = sight.views.form(sight.mask)
     seen = form.thin(sight.mask) & (form.thin(sight.views.frame.depth) > 0)
     return bool(np.count_nonzero(view.depth[seen] > 0) >= LEAST_KNOWN * np.count_nonzero(seen))
-
-
-def _agree(one: Pose, other: Pose, distance_m: float) -> bool:
-    """Tell whether two poses of an object are so near that they can be the same with some noise."""
-    change = one @ inverse(other)
-    return rotation_angle(change) < SAME_TURN_RAD and float(np.linalg.norm(change[:3, 3])) < SAME_SHIFT * distance_m
-
-
-def _seen(views: FrameViews, mask: NDArray[np.bool_]) -> _Seen:
-    """Return what registration takes of a frame."""
-    form = views.form(mask)
-    return form.thin(views.frame.depth), views.luma(form), form.thin(mask), form.camera
-
-
-def refined(
-    at: Located,
-    sights: Sequence[Sight],
-    model: EvidenceModel,
-    sensors: Sequence[SensorModel],
-    threads: int,
-    config: RegistrationConfig | None = None,
-) -> Located:
-    """Register the frames of a moment once more, against the finished model, from the pose that they were fused at.
-
-    The pose stays as it is unless the other fits significantly better. `sensors` are the noise of every sight's depth.
-    """
-    witnesses, moved = [], False
-    for (views, mask), sensor in zip(sights, sensors, strict=True):
-        T_camera_object, seen = views.rig.at_sensor(at.T_camera_object), _seen(views, mask)
-        view = cast_view(model, views.form(mask), T_camera_object, threads, exact=True)
-        options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
-        found = register(*seen, view, T_camera_object, **options)
-        if found.status is Status.TRACKED:
-            moved |= not rests(*seen, view, T_camera_object, found, resting=True, **options)
-        witnesses.append(_Registered(found, seen, view, options, views.rig))
-    if not moved:
-        return at
-    return replace(at, T_camera_object=_joined(witnesses).T_camera_object)
-
-
-def along_with_the_room(script: Mapping[int, Sequence[Located | None]], before: Script) -> Script:
-    """Let tracked objects that rested in the background rest there in a new script, too.
-
-    Parameters
-    ----------
-    script
-        Where everything is in every frame; the background may have other poses than before.
-    before
-        The same as of the pass before.
-    """
-    result: Script = {number: list(found) for number, found in script.items()}
-    old, new = before.get(0, []), result.get(0, [])
-    for number in result.keys() & before.keys() - {0}:
-        found, earlier = result[number], before[number]
-        for frame in range(1, min(len(found), len(earlier), len(old), len(new))):
-            was, then = _moved(old, frame), _moved(new, frame)
-            at, last, then_last = earlier[frame], earlier[frame - 1], found[frame - 1]
-            here = found[frame]
-            if was is None or then is None or at is None or last is None or here is None or then_last is None:
-                continue
-            if at.status != "known" and np.abs(was @ last.T_camera_object - at.T_camera_object).max() < SAME_REST:
-                found[frame] = replace(here, T_camera_object=then @ then_last.T_camera_object)
-    return result
-
-
-def _moved(found: Sequence[Located | None], frame: int) -> Pose | None:
-    """Return how an object moved to a frame from the one before; None where that is not known."""
-    last, now = found[frame - 1], found[frame]
-    if last is None or now is None:
-        return None
-    if np.array_equal(last.T_camera_object, now.T_camera_object):
-        return identity()
-    return now.T_camera_object @ inverse(last.T_camera_object)
-
-
-def pose_between(found: Sequence[Located | None], frame: int) -> Pose:
-    """Return where a lost object was on its way between the frames nearest to it in which it was found.
-
-    Between parts of a model there is no way: then it was where it was before.
-    """
-    usable = [(k, at) for k, at in enumerate(found) if at is not None and at.usable]
-    before = max((each for each in usable if each[0] < frame), default=None, key=lambda each: each[0])
-    after = min((each for each in usable if each[0] > frame), default=None, key=lambda each: each[0])
-    if before is None or after is None or before[1].part != after[1].part:
-        nearest = before or after
-        at = nearest[1] if nearest is not None else found[frame]
-        assert at is not None
-        return at.T_camera_object
-    share = (frame - before[0]) / (after[0] - before[0])
-    return interpolated(before[1].T_camera_object, after[1].T_camera_object, share)
-
-
-def bridged(found: Sequence[Located | None], blind: Sequence[bool], most: int) -> list[Located | None]:
-    """Return located frames with short runs of those without depth on the way between the frames about them.
-
-    What the picture alone says of a pose is worth less than that, but for long ways.
-
-    Parameters
-    ----------
-    found
-        Where an object is in every frame.
-    blind
-        Whether a frame has no depth.
-    most
-        Frames of a run at most.
-    """
-    result, start = list(found), 0
-    for stop in range(len(result) + 1):
-        if stop < len(result) and blind[stop]:
-            continue
-        before, after = (found[start - 1] if start else None), (found[stop] if stop < len(result) else None)
-        if 0 < stop - start <= most and before is not None and after is not None and _same_part(before, after):
-            ends = before.T_camera_object, after.T_camera_object
-            for frame in range(start, stop):
-                at = found[frame]
-                if at is not None and at.status == Status.WEAK:
-                    pose = interpolated(*ends, (frame - start + 1) / (stop - start + 1))
-                    result[frame] = replace(at, T_camera_object=pose, part=before.part)
-        start = stop + 1
-    return result
-
-
-def _same_part(before: Located, after: Located) -> bool:
-    return before.usable and after.usable and before.part == after.part
-
-
-def refound(
-    at: Located,
-    T_guess: Pose,
-    sights: Sequence[Sight],
-    model: EvidenceModel,
-    sensors: Sequence[SensorModel],
-    threads: int,
-) -> Located:
-    """Look for a lost object near a guess in the finished model; it stays lost, at the guess, if it is not there."""
-    witnesses = []
-    for (views, mask), sensor in zip(sights, sensors, strict=True):
-        T_camera_object, seen = views.rig.at_sensor(T_guess), _seen(views, mask)
-        view = cast_view(model, views.form(mask), T_camera_object, threads, exact=True)
-        options = _Options(sigma_m=sensor.sigma_m, threads=threads, config=RegistrationConfig())
-        found = register_from_starts(*seen, view, T_camera_object, **options)
-        witnesses.append(_Registered(found, seen, view, options, views.rig))
-    together = _joined(witnesses)
-    if together.status is not Status.TRACKED:
-        return replace(at, T_camera_object=T_guess)
-    return replace(at, T_camera_object=together.T_camera_object, status=Status.RELOCALISED)

@@ -17,9 +17,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.encoder.reconstruction.pose_graph import twist_of
-from threedvc.encoder.tracking.tracker import Located
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_from_vector
+from threedvc.arrays import Doubles
+from threedvc.encoder.tracking.pose_track import Located
+from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_from_vector, twist_of
 
 __all__ = ["eased", "settled", "smoothed"]
 
@@ -31,8 +31,6 @@ EASE = 0.07
 EASE_STEPS = 30
 FREE = 1e-9
 """Values that nothing determines are 0."""
-
-Doubles = NDArray[np.float64]
 
 
 def settled(

@@ -6,13 +6,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats
 from threedvc.kernels import kernel
 from threedvc.kernels.encoder.fusion import project_point
 
 __all__ = ["connect_surfaces", "count_sights", "measure_misfits", "spread_labels"]
-
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
 
 
 @kernel

@@ -8,9 +8,11 @@ import numpy as np
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_block, find_cell
 from threedvc.kernels.render.raycast import RAY_NUDGE, ROUNDING, next_crossing
+from threedvc.units import LUMA_WEIGHTS
 
 __all__ = ["cast_evidence", "fill_between", "interpolate"]
 
+RED, GREEN, BLUE = LUMA_WEIGHTS
 UNKNOWN = 1e9
 MAX_DEPTH_STEP = 0.04
 MAX_BEND = 0.006
@@ -174,7 +176,7 @@ def cast_evidence(
             if color_weight[cell] > 0.0:
                 w = abs(1 - ox - (x - ix)) * abs(1 - oy - (y - iy)) * abs(1 - oz - (z - iz)) + 1e-6
                 total += w
-                luma += w * (0.299 * color[cell, 0] + 0.587 * color[cell, 1] + 0.114 * color[cell, 2])
+                luma += w * (RED * color[cell, 0] + GREEN * color[cell, 1] + BLUE * color[cell, 2])
         intensity[r] = luma / total if total > 0.0 else np.nan
 
 

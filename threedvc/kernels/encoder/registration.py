@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats
 from threedvc.kernels import kernel
 
 __all__ = [
@@ -35,9 +36,6 @@ UNKNOWNS = 8
 ROW = 11
 LUMA_CENTRE = 128.0
 SAME_RAY = 0.02
-
-Floats = NDArray[np.float32]
-Doubles = NDArray[np.float64]
 
 
 @kernel

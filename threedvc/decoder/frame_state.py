@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""What is known of one decoded frame: poses, gains, light."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.geometry.pose import Pose, compose, identity
+from threedvc.model.post_filter import PictureFilter
+from threedvc.render.captured_depth import FilmedDepth
+from threedvc.render.picture import Backdrop, Light
+
+__all__ = ["FrameState", "camera_poses"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameState:
+    """Where everything is in one frame.
+
+    Attributes
+    ----------
+    index, timestamp_ns
+        Which frame.
+    color_timestamp_ns
+        Time of its colour picture if that is another, else None.
+    sensor, number
+        The sensor that took it, and which of its own frames it is.
+    together
+        Whether it was taken at the moment of the frame before, by another sensor.
+    T_world_camera
+        Pose of the sensor's depth camera.
+    T_camera_object
+        Pose of every object that has appeared, by number; 0 is the background.
+    T_shifted_camera
+        Shift of the depth camera for the colour picture: ``p_color = T_color_depth @ T_shifted_camera @ p_depth``.
+    gain
+        (3, 2) units of the colour camera's gain, see `threedvc.coding.gains`.
+    backdrop
+        What colours the background, or None.
+    lights
+        Light on objects, by number.
+    filters
+        Filter of the colour picture as filmed, or None.
+    filmed
+        Depth that stands for the drawn one in the frame as filmed, or None.
+    """
+
+    index: int
+    timestamp_ns: int
+    sensor: int
+    number: int
+    together: bool
+    T_world_camera: Pose
+    T_camera_object: Mapping[int, Pose]
+    T_shifted_camera: Pose
+    gain: NDArray[np.int64]
+    backdrop: Backdrop | None
+    lights: Mapping[int, Light]
+    filters: PictureFilter | None
+    filmed: FilmedDepth | None
+    color_timestamp_ns: int | None = None
+
+
+def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
+    """Turn the poses that the stream carries into T_camera_object.
+
+    Object 0 carries T_camera_world, every other object T_world_object, so that what rests in the room
+    costs nothing while the camera moves.
+    """
+    T_camera_world = scripts.get(0, identity())
+    return {number: compose(T_camera_world, pose) if number else pose for number, pose in scripts.items()}

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""What to tell of a model: cells that became visible, moved, or changed their colour."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
+from threedvc.encoder.fusion.surface_extraction import MIN_NEIGHBOURS, Surface, read_surface
+from threedvc.kernels.encoder.surface import count_neighbours
+from threedvc.model.block_index import BLOCK_CELLS
+from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.model_update import ModelUpdate
+
+__all__ = ["changes", "first_sights"]
+
+CONFIDENT_LOG_ODDS = 2.0
+EMPTY_LOG_ODDS = -2.0
+RECOLOR_LEVELS = 16.0
+
+
+def first_sights(surface: Surface, sent: DecodedModel, until_frame: int | None) -> ModelUpdate:
+    """Choose the cells first seen before `until_frame` (None: all) that were not sent yet (two-pass)."""
+    due = np.ones(len(surface.cells), dtype=bool) if until_frame is None else surface.first_seen < until_frame
+    due &= ~_is_sent(sent, surface.cells)
+    return _update(surface.part(due), _nothing(), surface.part(np.zeros(len(due), dtype=bool)))
+
+
+def changes(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpdate:
+    """Choose what is worth sending now (live).
+
+    A cell appears when it is confident, or occupied rather than not among confident ones (a threshold for each
+    cell alone leaves holes where the surface passes between two), and no cell within one cell of it was sent
+    (noise makes the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour
+    when the mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the
+    decoded ones a cell would be sent again for its quantisation error.
+    """
+    present = read_surface(model, threads)
+    surface = present.part(_among_sure_ones(present, model, threads))
+    known = _is_sent(sent, surface.cells)
+    near = np.zeros(len(surface.cells), dtype=np.int32)
+    count_neighbours(
+        surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near
+    )
+    moved = np.zeros(len(known), dtype=bool)
+    positions = sent.index.locate(surface.cells[known])
+    drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
+    moved[known] = drift > RECOLOR_LEVELS
+    fresh = ~known & ((near == 0) | _frontier(near))
+    return _update(surface.part(fresh), _vanished(present, model, sent), surface.part(moved))
+
+
+def _among_sure_ones(surface: Surface, model: EvidenceModel, threads: int) -> NDArray[np.bool_]:
+    """Tell which cells (n,) of a surface are confident, or have three confident ones around them."""
+    sure = np.zeros(model.index.count * BLOCK_CELLS, dtype=np.uint8)
+    sure[model.index.locate(read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS).cells)] = 1
+    positions = model.index.locate(surface.cells)
+    around = np.zeros(len(positions), dtype=np.int32)
+    count_neighbours(surface.cells, positions, model.index.tables, sure, around)
+    return np.asarray((sure[positions] != 0) | (around >= MIN_NEIGHBOURS))
+
+
+def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell cells that continue a sent surface at its edge from cells that double it."""
+    return near <= 3
+
+
+def _vanished(present: Surface, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.int32]:
+    """List sent cells that are confidently empty and have no cell of the present surface beside them."""
+    cells, _ = sent.cells()
+    positions = model.index.locate(cells)
+    cells = cells[model.log_odds.reshape(-1)[positions] < EMPTY_LOG_ODDS]
+    flags = np.zeros((model.index.count, BLOCK_CELLS), dtype=np.uint8)
+    flags.reshape(-1)[model.index.locate(present.cells)] = 1
+    beside = np.zeros(len(cells), dtype=np.int32)
+    count_neighbours(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
+    gone = (beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)
+    return np.asarray(cells[gone], dtype=np.int32)
+
+
+def _is_sent(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.bool_]:
+    positions = sent.index.locate(cells)
+    known = positions >= 0
+    known[known] = sent.occupied.reshape(-1)[positions[known]] != 0
+    return known
+
+
+def _nothing() -> NDArray[np.int32]:
+    return np.empty((0, 3), dtype=np.int32)
+
+
+def _update(added: Surface, removed: NDArray[np.int32], recolored: Surface) -> ModelUpdate:
+    return ModelUpdate(
+        added=added.cells,
+        added_colors=added.colors,
+        removed=removed,
+        recolored=recolored.cells,
+        recolored_colors=recolored.colors,
+        importance=None
+        if added.importance is None or recolored.importance is None
+        else np.concatenate([added.importance, recolored.importance]),
+    )

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""How well measured depth agrees with the models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.config import Sensor
+from threedvc.encoder.fusion.noise_meter import NoiseMeter
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.tracking.model_view import shown_and_measured
+from threedvc.frames.sequence import FrameSequence, spread_step
+from threedvc.metrics.depth_errors import mean_misfit
+
+__all__ = ["depth_misfit", "misfit_frames", "noisier_sensors"]
+
+MISFIT_FRAMES = 60
+
+
+def misfit_frames(frames: FrameSequence) -> range:
+    """Return the frames on which a misfit is measured."""
+    return range(0, len(frames), spread_step(len(frames), MISFIT_FRAMES, frames.info))
+
+
+def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
+    """Return the `mean_misfit` of the background's evidence at its poses."""
+    return mean_misfit((shown, measured) for _, shown, measured in _background_depths(scene, frames))
+
+
+def noisier_sensors(scene: Scene, frames: FrameSequence) -> list[Sensor] | None:
+    """Tell what sensors the frames come from, as their noise about the model shows; None if that is as was thought."""
+    asked = [scene.config.sensor_of(sensor) for sensor in range(len(scene.info.rigs))]
+    if Sensor.AUTO not in asked:
+        return None
+    meters = [NoiseMeter() for _ in asked]
+    for index, shown, measured in _background_depths(scene, frames):
+        meters[scene.sensors[index]].add(shown, measured, scene.objects[0].evidence.voxel_size_m)
+    found = [
+        sensor if sensor is not Sensor.AUTO else meter.better_than(scene.sensor_of(number)) or Sensor.AUTO
+        for number, (sensor, meter) in enumerate(zip(asked, meters, strict=True))
+    ]
+    return found if found != asked else None
+
+
+def _background_depths(
+    scene: Scene, frames: FrameSequence
+) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
+    """Yield, for frames spread over the sequence, their number, the depth of the background's evidence and theirs."""
+    item = scene.objects[0]
+    for index in misfit_frames(frames):
+        at = item.found[index]
+        if at is None or not at.usable:
+            continue
+        frame = scene.limited(frames[index])
+        mask = scene.labels(frame) == 0
+        views = scene.views(frame)
+        there = views.rig.at_sensor(at.T_camera_object)
+        yield index, *shown_and_measured(item.evidence, views, mask, there, scene.config.threads, exact=True)

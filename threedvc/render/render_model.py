@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""A decoded model laid out for ray casting."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.kernels.render.render_blocks import build_block
+from threedvc.model.block_index import BLOCK_CELLS, BlockIndex
+from threedvc.model.decoded_model import DecodedModel, shifted_blocks
+from threedvc.parallel import for_ranges
+
+__all__ = ["RenderModel"]
+
+BORDERED_CELLS = 9**3
+
+
+class RenderModel:
+    """A decoded model in the form that rays walk through; kept up to date by `refresh`."""
+
+    def __init__(self, model: DecodedModel) -> None:
+        self.model = model
+        self.index = BlockIndex()
+        self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.corners = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
+        self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
+        self._version = 0
+
+    def refresh(self, threads: int) -> None:
+        """Rebuild the blocks around everything that changed since the last call."""
+        model = self.model
+        model.fit_planes(threads)
+        changed, self._version = model.changed_since(self._version), model.version
+        if not len(changed):
+            return
+        around = shifted_blocks(changed, (-1, 0, 1))
+        here = around[model.index.locate(around * 8) >= 0]
+        self._build(shifted_blocks(here, (-1, 0)), threads)
+
+    def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
+        skip = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
+        corners = np.empty((len(blocks), BLOCK_CELLS), dtype=np.uint8)
+        plane = np.empty((len(blocks), BORDERED_CELLS, 4), dtype=np.int8)
+        targets = np.arange(len(blocks))
+        model = self.model
+
+        def block_range(start: int, stop: int) -> None:
+            build_block(
+                targets, blocks, start, stop, model.index.tables, model.occupied, model.planes, skip, corners,
+                plane,
+            )  # fmt: skip
+
+        for_ranges(block_range, len(blocks), threads)
+        keep = (skip == 0).any(axis=1) | (self.index.locate(blocks * 8) >= 0)
+        self.index.insert(blocks[keep])
+        self._grow()
+        slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
+        self.skip[slots], self.corners[slots], self.plane[slots] = skip[keep], corners[keep], plane[keep]
+
+    def _grow(self) -> None:
+        more = max(self.index.count, len(self.skip) * 3 // 2) - len(self.skip)
+        if self.index.count <= len(self.skip):
+            return
+        for name in ("skip", "corners", "plane"):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate([array, np.zeros((more, *array.shape[1:]), dtype=array.dtype)]))
