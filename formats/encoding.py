@@ -11,7 +11,8 @@ from itertools import takewhile
 from typing import BinaryIO, overload
 
 from threedvc.config import EncoderConfig
-from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.decoder.verification import verified
+from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.formats.container import open_output
 from threedvc.formats.pose_check import settle_poses
 from threedvc.formats.sources import open_sequence

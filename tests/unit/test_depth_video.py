@@ -17,8 +17,9 @@ from threedvc.coding import picture_sequence
 from threedvc.coding.picture_sequence import can_encode_sequences, encode_sequence
 from threedvc.config import DepthVideo, EncoderConfig, Motion, RenderConfig
 from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.verification import verified
 from threedvc.encoder.packetizer import depth_video as video_choice
-from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.frames.multi_sensor import MergedSequence

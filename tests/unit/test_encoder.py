@@ -15,8 +15,9 @@ from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
+from threedvc.decoder.verification import verified
 from threedvc.encoder.fusion.surface_extraction import read_surface
-from threedvc.encoder.pipeline.encoder import Encoder, verified
+from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
 from threedvc.frames.frame import Frame

@@ -3,15 +3,34 @@
 
 from __future__ import annotations
 
-from threedvc.config import with_step
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from threedvc.config import EncoderConfig, with_step
+from threedvc.encoder.appearance.appearance_fit import trial_error
 from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.pipeline.budget import stream_budget, surface_budget
+from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
+from threedvc.encoder.rate.rate_control import MIDDLE_STEP, best_cells, cell_factor
 from threedvc.encoder.rate.trial_coding import color_settings, one_shot
 from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.sequence import ThinnedSequence, spread_step
+from threedvc.geometry.pose import Pose
 
-__all__ = ["cheap_relief", "surface_bytes"]
+__all__ = ["surface_bytes", "with_affordable_cells", "with_best_cells", "with_relief_chosen"]
 
 CHEAP = 0.1
 """Share of the bytes of surfaces that one bit of relief may add."""
+TRIAL_FRAMES = 100
+"""Frames that a size of cells is tried on: more hardly change which size draws best."""
+MIN_CELL_FACTOR, MIN_SHIFTED_CELL_FACTOR = 0.45, 0.65
+"""Cells narrower than about two pixels are not tried, or three where colour and depth have rays of their own: a decoder
+would draw them slowly."""
+MAX_CELL_FACTOR = 16
+"""Cells wider or narrower than this many times the default tell nothing of a scene."""
 
 
 def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None) -> int:
@@ -29,7 +48,50 @@ def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None
     return sum(size for size, _ in sizes)
 
 
-def cheap_relief(scene: Scene, luma_step: float) -> int:
+def with_affordable_cells(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
+    """Take wider or narrower cells if the bit rate asks for them."""
+    budget = surface_budget(state)
+    if budget is None:
+        return state
+    factor = cell_factor(surface_bytes(state.scene, MIDDLE_STEP), budget)
+    return state if factor == 1 else _with_cells(state, fusion, factor)
+
+
+def with_best_cells(state: Reconstruction, fusion: FusionPass, shifts: Sequence[Pose] | None) -> Reconstruction:
+    """Take those cells that draw the best pictures at the bit rate, of some tried or between them."""
+    budget = surface_budget(state)
+    if budget is None:
+        return state
+    least = MIN_CELL_FACTOR if shifts is None else MIN_SHIFTED_CELL_FACTOR
+    step = spread_step(len(fusion.frames), TRIAL_FRAMES, state.info)
+    some = ThinnedSequence(fusion.frames, step)
+    poses = {number: found[::step] for number, found in state.poses.items()}
+
+    def tried(factor: float) -> float:
+        config = _wider(state.config, factor)
+        if factor < 1 and config.cell_factor < least:
+            return inf
+        scene = Scene(state.info, config, poses, state.scene.division)
+        for frame in some:
+            scene.add(frame)
+        return trial_error(scene, some, shifts and shifts[::step], budget)
+
+    factor = best_cells(tried)
+    return state if factor == 1 else _with_cells(state, fusion, factor)
+
+
+def with_relief_chosen(state: Reconstruction) -> Reconstruction:
+    """Settle whether the stream tells where in their cells surfaces pass."""
+    appearance = state.config.appearance
+    if appearance.relief_bits is not None:
+        return state
+    step = state.config.color.luma_step if stream_budget(state) is None else MIDDLE_STEP
+    chosen = replace(appearance, relief_bits=_affordable_relief(state.scene, step))
+    config = replace(state.config, appearance=chosen)
+    return replace(state, config=config, scene=state.scene.with_config(config))
+
+
+def _affordable_relief(scene: Scene, luma_step: float) -> int:
     """Return 1 if one bit of relief costs little beside the surfaces, else 0.
 
     On smooth surfaces it does, and there it is needed most: cells lie in wide steps, whose height the decoder cannot
@@ -37,3 +99,14 @@ def cheap_relief(scene: Scene, luma_step: float) -> int:
     """
     plain, fine = (surface_bytes(scene, luma_step, bits) for bits in (0, 1))
     return 1 if fine < (1 + CHEAP) * plain else 0
+
+
+def _wider(config: EncoderConfig, factor: float) -> EncoderConfig:
+    """Return the choices with cells wider by a factor."""
+    wider = np.clip(config.cell_factor * factor, 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR)
+    return replace(config, cell_factor=float(wider))
+
+
+def _with_cells(state: Reconstruction, fusion: FusionPass, factor: float) -> Reconstruction:
+    """Fuse all frames again into cells wider by a factor."""
+    return fusion.fuse_at(replace(state, config=_wider(state.config, factor)), state.poses)

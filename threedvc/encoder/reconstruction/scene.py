@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,6 +78,8 @@ class Scene:
         Where every object is in every frame, from an earlier pass; None: find out.
     division
         Labels of the frames where these are divided by motion; None: find them as the frames come.
+    luma_weight
+        Weight of luma against depth where objects are tracked, no more than 1 for others than the background.
 
     Attributes
     ----------
@@ -93,9 +96,6 @@ class Scene:
     gains
         For each frame, units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless
         the encoder is causal, for others fit them later.
-    luma_weight
-        Weight of luma against depth where objects are tracked, no more than 1 for others than the background; to be set
-        before the first frame.
     """
 
     def __init__(
@@ -104,6 +104,8 @@ class Scene:
         config: EncoderConfig,
         script: Mapping[int, Sequence[Located | None]] | None = None,
         division: Division | None = None,
+        *,
+        luma_weight: float = 1.0,
     ) -> None:
         self.info, self.config = info, config
         self._script = script
@@ -123,7 +125,7 @@ class Scene:
         self.repeated: list[bool] = []
         self.blind: list[bool] = []
         self.gains: list[NDArray[np.int64]] = []
-        self.luma_weight = 1.0
+        self._luma_weight = luma_weight
         self._before: dict[int, Frame] = {}
         self._thinned, self._full = [Thinned(rig) for rig in info.rigs], [Thinned(rig, 1) for rig in info.rigs]
         self._rays = [rig.depth.rays() for rig in info.rigs]
@@ -132,6 +134,12 @@ class Scene:
         self._live_factor: float | None = None
         self._settling = True
         self.distance_m = 0.0
+
+    def with_config(self, config: EncoderConfig) -> Scene:
+        """Return the same scene, its objects shared, under other choices for what is still to come."""
+        scene = copy(self)
+        scene.config = config
+        return scene
 
     @property
     def entropy_bits(self) -> float:
@@ -386,7 +394,7 @@ class Scene:
                 self.config.threads,
                 sensor_of=self.sensor_of,
                 lit_evenly=number == 0,
-                luma_weight=self.luma_weight if number == 0 else min(self.luma_weight, 1.0),
+                luma_weight=self._luma_weight if number == 0 else min(self._luma_weight, 1.0),
                 patience=max(MIN_PATIENCE, round(self.info.fps)),
             )
         self.objects[number] = SceneObject(number, size, tracker, passing=passing)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""The choices whose stream has the bytes that are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from threedvc.config import DepthVideo, EncoderConfig, with_step
+from threedvc.encoder.packetizer.depth_video import worthwhile_videos
+from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fitted_filter
+from threedvc.encoder.pipeline.budget import stream_budget
+from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
+from threedvc.encoder.rate.rate_control import CLOSE, FINER, LEAST_STEP, closest_below, stream_bytes
+from threedvc.frames.sequence import FrameSequence
+from threedvc.stream.packets import Packet
+
+__all__ = ["rated_choices", "rated_stream"]
+
+
+def rated_choices(builder: StreamBuilder, filter_bytes: int = 0, videos: Sequence[Packet] = ()) -> StreamChoices:
+    """Return the choices that, with a filter of some bytes, give the bytes wanted if there are any."""
+    state, fitted = builder.state, builder.fitted
+    budget = stream_budget(state)
+    if budget is None:
+        return StreamChoices(config=state.config, videos=videos)
+    target = budget - filter_bytes
+
+    def config(step: float) -> EncoderConfig:
+        return replace(state.config, color=with_step(step))
+
+    def size(step: float, background_step: float | None = None) -> int:
+        choices = StreamChoices(config=config(step), background_step=background_step, videos=videos)
+        return stream_bytes(builder.build(choices))
+
+    step, closest = closest_below(size, target)
+    finest = max(step / FINER, LEAST_STEP)
+    if closest < CLOSE * target and fitted is not None and fitted.backdrop is not None and finest < step:
+        # Pictures come in leaps; cells fill what a leap leaves.
+        for_cells, larger = closest_below(lambda each: size(each, step), target, (finest, step))
+        if closest < larger <= target:
+            return StreamChoices(config=config(for_cells), background_step=step, videos=videos)
+    return StreamChoices(config=config(step), videos=videos)
+
+
+def rated_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
+    """Return all packets, with a video of depth where it is worth it, and a filter fitted to what they draw."""
+    choices = rated_choices(builder, FILTER_BYTES)
+    packets = builder.build(choices)
+    budget = stream_budget(builder.state)
+    videos = _depth_videos(builder, packets, frames)
+    if videos:
+        with_videos = rated_choices(builder, FILTER_BYTES, videos)
+        captured = builder.build(with_videos)
+        if budget is None or stream_bytes(captured) <= budget:
+            choices, packets = with_videos, captured
+    plain_bytes = stream_bytes(packets)
+    post_filter = fitted_filter(packets, frames, builder.state.config.threads)
+    if post_filter is not None:
+        packets = builder.build(replace(choices, post_filter=post_filter))
+    filter_bytes = stream_bytes(packets) - plain_bytes
+    if budget is None or plain_bytes > budget - FILTER_BYTES:
+        return packets
+    if filter_bytes > FILTER_BYTES or FILTER_BYTES - filter_bytes > (1 - CLOSE) * budget:
+        choices = rated_choices(builder, filter_bytes, choices.videos)
+        packets = builder.build(replace(choices, post_filter=post_filter))
+    return packets
+
+
+def _depth_videos(builder: StreamBuilder, packets: Sequence[Packet], frames: FrameSequence) -> list[Packet]:
+    """Return VIDEO packets of depth that the models do not tell, if it is worth it."""
+    state = builder.state
+    mode = state.config.depth_video
+    if mode is DepthVideo.OFF or (mode is DepthVideo.AUTO and not state.config.refine):
+        return []
+    wanted = mode is DepthVideo.ON
+    return worthwhile_videos(state.scene, frames, packets, stream_budget(state), builder.batch_frames, sure=wanted)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""The packets of a stream, out of a reconstruction and what was fitted to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from threedvc.config import EncoderConfig
+from threedvc.encoder.appearance.appearance_fit import Finish
+from threedvc.encoder.packetizer.packetizer import Emitter
+from threedvc.encoder.pipeline.fusion_pass import Reconstruction
+from threedvc.errors import SequenceError
+from threedvc.model.post_filter import PictureFilter
+from threedvc.stream.packets import Packet
+
+__all__ = ["StreamBuilder", "StreamChoices", "batches", "new_packetizer"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreamChoices:
+    """What is chosen for a stream when its scene and appearance are done.
+
+    Attributes
+    ----------
+    config
+        Choices, with the steps of colours.
+    background_step
+        Step of the picture of a background at rest, if it is not that of the colours.
+    post_filter
+        Filter of the drawn pictures, if there is one.
+    videos
+        VIDEO packets of depth as captured.
+    """
+
+    config: EncoderConfig
+    background_step: float | None = None
+    post_filter: PictureFilter | None = None
+    videos: Sequence[Packet] = ()
+
+
+def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: Finish | None = None) -> Emitter:
+    """Return what writes the packets of the frames taken in.
+
+    Raises
+    ------
+    SequenceError
+        If there is no frame, or for a file no depth that was fused.
+    """
+    if not state.reports:
+        raise SequenceError(f"{state.info.name} has no frames")
+    if not state.config.causal and not state.has_depth:
+        raise SequenceError(
+            f"{state.info.name}: no frame has a depth measurement that could be used; all may lie beyond the reach "
+            "of its sensor: give --sensor lidar, or --max-depth"
+        )
+    return Emitter(state.scene, choices.config, fitted, choices.background_step, choices.post_filter, choices.videos)
+
+
+def batches(
+    packetizer: Emitter, state: Reconstruction, first: int, batch_frames: int, *, last: bool
+) -> Iterator[Packet]:
+    """Yield the batches of the frames from `first` on; `last`: no others will follow."""
+    stop = len(state.reports)
+    for start in range(first, stop, batch_frames):
+        end = min(start + batch_frames, stop)
+        final = last and end == stop
+        told = state.reports[start:end] if state.config.causal else state.reports if final else []
+        batch = packetizer.group(start, end, told, last=final)
+        if batch is not None:
+            yield batch
+
+
+@dataclass(frozen=True, eq=False)
+class StreamBuilder:
+    """Builds whole streams of one reconstruction, for different choices.
+
+    Attributes
+    ----------
+    state
+        The reconstruction.
+    fitted
+        What was fitted to its pictures; None where frames cannot be read again.
+    batch_frames
+        Frames of a batch.
+    """
+
+    state: Reconstruction
+    fitted: Finish | None
+    batch_frames: int
+
+    def build(self, choices: StreamChoices) -> list[Packet]:
+        """Return all packets; raises SequenceError as `new_packetizer` does."""
+        packetizer = new_packetizer(self.state, choices, self.fitted)
+        body = batches(packetizer, self.state, 0, self.batch_frames, last=True)
+        return [*packetizer.head(), *body, packetizer.end()]
