@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from recorded_room import color_picture, depth_picture, poses
 from streams import ListSequence, drawn
@@ -51,9 +52,13 @@ def fused(given: list[Frame], config: EncoderConfig = LIVE) -> Scene:
     return scene
 
 
+def gains_of(scene: Scene) -> list[NDArray[np.int64]]:
+    return [record.gain for record in scene.records]
+
+
 def test_gains_follow_the_camera() -> None:
     scene = fused(frames(FACTORS))
-    found = np.array([apply_gain(gain)[0] for gain in scene.gains])
+    found = np.array([apply_gain(gain)[0] for gain in gains_of(scene)])
     np.testing.assert_allclose(found[:, 0], FACTORS, rtol=0.04)
     np.testing.assert_allclose(found[:, 2], FACTORS**0.5, rtol=0.04)
 
@@ -65,21 +70,21 @@ def test_colors_of_the_evidence_do_not_follow_the_camera() -> None:
 
 
 def test_a_steady_camera_has_no_gain() -> None:
-    assert all(np.array_equal(gain, NEUTRAL) for gain in fused(frames(np.ones(8))).gains)
+    assert all(np.array_equal(gain, NEUTRAL) for gain in gains_of(fused(frames(np.ones(8)))))
 
 
 def test_files_leave_gains_to_the_fit() -> None:
     scene = fused(frames(FACTORS), replace(LIVE, causal=False))
-    assert len(scene.gains) == 8
-    assert all(np.array_equal(gain, NEUTRAL) for gain in scene.gains)
+    assert len(gains_of(scene)) == 8
+    assert all(np.array_equal(gain, NEUTRAL) for gain in gains_of(scene))
 
 
 def test_without_depth_the_last_gain_stays() -> None:
     given = frames(FACTORS[:6])
     blind = replace(given[5], depth=np.zeros_like(given[5].depth))
     scene = fused([*given[:5], blind])
-    assert not np.array_equal(scene.gains[4], NEUTRAL)
-    np.testing.assert_array_equal(scene.gains[5], scene.gains[4])
+    assert not np.array_equal(gains_of(scene)[4], NEUTRAL)
+    np.testing.assert_array_equal(gains_of(scene)[5], gains_of(scene)[4])
 
 
 @pytest.mark.parametrize("grey", [False, True])

@@ -65,7 +65,7 @@ def test_objects_are_those_of_the_labels() -> None:
     scene.add(frame(1))
     assert sorted(scene.objects) == [0, 3]
     assert (scene.objects[0].born, scene.objects[3].born) == (0, 1)
-    assert scene.timestamps == [0, 1]
+    assert [record.timestamp_ns for record in scene.records] == [0, 1]
     assert scene.entropy_bits == sum(item.entropy.bits for item in scene.objects.values()) > 0
 
 
@@ -141,7 +141,7 @@ def test_a_frame_that_repeats_the_one_before_is_not_fused() -> None:
     once.add(frame(0))
     for index in range(3):
         twice.add(replace(frame(0), index=index, timestamp_ns=index))
-    assert twice.repeated == [False, True, True]
+    assert [record.repeated for record in twice.records] == [False, True, True]
     for number in (0, 3):
         evidence = [scene.objects[number].evidence for scene in (once, twice)]
         np.testing.assert_array_equal(evidence[0].log_odds, evidence[1].log_odds)

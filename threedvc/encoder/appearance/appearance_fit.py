@@ -467,7 +467,7 @@ class _Fit:
         moved = False
         for number, item in scene.objects.items():
             at = self.script[number][index]
-            if at is None or not at.usable or scene.is_given(item, at):
+            if at is None or not at.usable or item.is_given(at):
                 continue
             moved, here = True, sample.labels == number
             view = frame, rig, rig.at_sensor(at.T_camera_object), sample.points[here], luma[here]
@@ -486,7 +486,7 @@ class _Fit:
         self._gains[index], self.shifts[index] = self._gains[last], self.shifts[last]
         for number, item in self._scene.objects.items():
             at, before = self.script[number][index], self.script[number][last]
-            if at is not None and before is not None and not self._scene.is_given(item, at):
+            if at is not None and before is not None and not item.is_given(at):
                 self.script[number][index] = replace(at, T_camera_object=before.T_camera_object)
 
     def _lost(self, frame: int) -> bool:

@@ -192,7 +192,7 @@ def _with_color_calibration(state: Reconstruction, fusion: FusionPass) -> Recons
     elif tracked:
         state = _tracked_anew(state, fusion)
     poses = refined_script(state.scene, fusion.frames, TO_DEPTH if tracked and info is not None else None)
-    poses[0] = bridged(poses[0], state.scene.blind, round(BRIDGED_S * state.info.fps))
+    poses[0] = bridged(poses[0], [record.blind for record in state.scene.records], round(BRIDGED_S * state.info.fps))
     return fusion.fuse_at(state, poses)
 
 
@@ -244,7 +244,9 @@ def _with_poses_of_depth(common: Reconstruction, fusion: FusionPass) -> tuple[Re
     for _ in range(MAX_DEPTH_ROUNDS):
         poses = refined_script(state.scene, frames, TO_DEPTH)
         if not state.info.sensors:  # sensors share poses, or take turns at steps of uneven length
-            poses[0] = settled(poses[0], common.scene.objects[0].found, common.scene.blind)
+            poses[0] = settled(
+                poses[0], common.scene.objects[0].found, [record.blind for record in common.scene.records]
+            )
         state = fusion.fuse_at(state, poses)
         before, error = error, depth_misfit(state.scene, frames)
         if error > WORTHWHILE_ROUND * before:

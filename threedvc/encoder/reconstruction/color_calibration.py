@@ -238,7 +238,7 @@ def calibrated_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
     chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]
     found, rigs = [], scene.info.rigs
     for sensor, rig in enumerate(rigs):
-        taken = [frame for frame in range(len(frames)) if scene.sensors[frame] == sensor]
+        taken = [frame for frame in range(len(frames)) if scene.records[frame].sensor == sensor]
         sightings = []
         for frame in taken[:: max(1, len(taken) // CALIBRATION_FRAMES)]:
             at = item.found[frame]

@@ -37,7 +37,7 @@ def noisier_sensors(scene: Scene, frames: FrameSequence) -> list[Sensor] | None:
         return None
     meters = [NoiseMeter() for _ in asked]
     for index, shown, measured in _background_depths(scene, frames):
-        meters[scene.sensors[index]].add(shown, measured, scene.objects[0].evidence.voxel_size_m)
+        meters[scene.records[index].sensor].add(shown, measured, scene.objects[0].evidence.voxel_size_m)
     found = [
         sensor if sensor is not Sensor.AUTO else meter.better_than(scene.sensor_of(number)) or Sensor.AUTO
         for number, (sensor, meter) in enumerate(zip(asked, meters, strict=True))

@@ -76,7 +76,7 @@ def _chosen(scene: Scene, sensor: int, most: int) -> list[int]:
     taken = [
         frame
         for frame, at in enumerate(found)
-        if at is not None and at.usable and scene.sensors[frame] == sensor and not scene.repeated[frame]
+        if at is not None and at.usable and scene.records[frame].sensor == sensor and not scene.records[frame].repeated
     ]
     return taken[:: max(1, -(-len(taken) // most))]
 

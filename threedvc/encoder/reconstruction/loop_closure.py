@@ -92,7 +92,7 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | 
     # Of several sensors the first one closes loops; all are mounted together.
     usable = [
         at.T_camera_object if at is not None and at.usable and not sensor else None
-        for at, sensor in zip(found, scene.sensors, strict=True)
+        for at, sensor in zip(found, (record.sensor for record in scene.records), strict=True)
     ]
     keys = []
     for number in key_numbers(usable, scene.distance_m):

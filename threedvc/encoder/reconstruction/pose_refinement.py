@@ -55,6 +55,6 @@ def _refined(
         previous = item.found[frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):
             return replace(at, T_camera_object=before[-1].T_camera_object)
-    if scene.is_given(item, at):
+    if item.is_given(at):
         return at
     return refined(at, sights, item.evidence, sensors, scene.config.threads, config)

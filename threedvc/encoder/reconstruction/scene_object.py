@@ -44,8 +44,17 @@ class SceneObject:
         Whether it stands for things that are there for a moment.
     """
 
-    def __init__(self, number: int, voxel_size_m: float, tracker: Tracker | None, *, passing: bool = False) -> None:
+    def __init__(
+        self,
+        number: int,
+        voxel_size_m: float,
+        tracker: Tracker | None,
+        *,
+        passing: bool = False,
+        given_camera: bool = False,
+    ) -> None:
         self.number, self.passing = number, passing
+        self._given_camera = given_camera
         self.evidence = EvidenceModel(voxel_size_m)
         self.tracker = tracker
         self.entropy = EntropyMeter(self.evidence)
@@ -96,6 +105,27 @@ class SceneObject:
             usable = [at.T_camera_object for at in self.found if at is not None and at.usable]
             self._stayed = len(self.found), all(np.array_equal(pose, usable[0]) for pose in usable)
         return self._stayed[1]
+
+    def is_given(self, at: Located) -> bool:
+        """Tell whether a pose is to be taken as it is.
+
+        Poses of a hand-held camera are worth refining. Those of labelled objects are not: given ones are made
+        on purpose, tracked ones would follow the shades of the model's colours. A background without camera
+        poses stands still, and so does one that was tracked and never moved.
+        """
+        if self.number > 0 or (at.status == "known" and not self._given_camera):
+            return True
+        return at.status != "known" and self.stayed
+
+    @property
+    def may_move(self) -> bool:
+        """Whether its poses are worth refining in some frame."""
+        return any(at is not None and at.usable and not self.is_given(at) for at in self.found)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it never moves before the camera, and is not going to be moved."""
+        return not self.may_move and all(np.array_equal(pose, self.poses[0]) for pose in self.poses)
 
     @property
     def last_seen(self) -> int:
