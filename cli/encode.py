@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import json
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from threedvc.cli.options import (
-    READER_OPTIONS,
     bit_rate,
     focus,
     force_option,
@@ -24,13 +23,12 @@ from threedvc.cli.options import (
     threads_option,
 )
 from threedvc.cli.progress import Progress
+from threedvc.cli.requests import EncodeRequest
 from threedvc.cli.signals import Terminated, stop_on_signals
 from threedvc.errors import SequenceError
 
 if TYPE_CHECKING:
-    from threedvc.config import EncoderConfig
     from threedvc.formats.encoding import EncodeReport
-    from threedvc.frames.sequence import FrameSequence
 
 __all__ = ["encode"]
 
@@ -105,9 +103,10 @@ def encode(
     folders = [*sources, *inputs]
     if not folders:
         raise click.UsageError("no INPUT; name the folder of RGB-D frames, then OUTPUT.3dvc")
-    config = _configuration(choices, len(folders))
+    request = EncodeRequest(**choices)
+    config = request.configuration(len(folders))
     check_output(output, force=force)
-    sequence = _open(folders, choices)
+    sequence = request.open(folders)
     info = sequence.info
     live = config.causal
     with ExitStack() as opened:
@@ -135,53 +134,6 @@ def encode(
         ended = Terminated(stop.number)
         ended.add_note(f"{output} holds the {report.frames} frames so far")
         raise ended
-
-
-def _open(folders: list[Path], choices: dict[str, Any]) -> FrameSequence:
-    from threedvc.formats.sources import open_sensors, open_sequence
-
-    common = {"max_depth_m": choices["max_depth"], "frames": choices["frames"]}
-    if len(folders) > 1:
-        each = {name: choices[name] for name in READER_OPTIONS}
-        return open_sensors(folders, extrinsics=choices["extrinsics"], delays_s=choices["delay"], **each, **common)
-    for name in (*READER_OPTIONS, "extrinsics", "delay"):
-        if len(choices[name]) > (name in READER_OPTIONS):
-            option = f"--{name.replace('_', '-')}"
-            raise click.UsageError(f"{option} is given for more sensors than there are; add --input DIR for the others")
-    return open_sequence(folders[0], **{name: choices[name][0] for name in READER_OPTIONS if choices[name]}, **common)
-
-
-def _configuration(choices: dict[str, Any], sensors: int) -> EncoderConfig:
-    from threedvc.config import DepthVideo, EncoderConfig, Motion, Preset, Sensor, with_preset, with_quality
-    from threedvc.parallel import default_threads
-
-    if choices["bitrate"] is not None and choices["quality"] is not None:
-        raise click.UsageError("--bitrate and --quality contradict each other; give one of them")
-    if choices["causal"] and choices["preset"] not in ("live", "medium"):
-        raise click.UsageError(f"--causal and --preset {choices['preset']} contradict each other; give one of them")
-    if choices["depth_video"] == "on" and (choices["causal"] or choices["preset"] == "live"):
-        raise click.UsageError("--depth-video on and --preset live contradict each other; give one of them")
-    preset = Preset.LIVE if choices["causal"] else Preset(choices["preset"])
-    if len(choices["sensor"]) not in (0, 1, sensors):
-        raise click.UsageError(
-            f"--sensor is given {len(choices['sensor'])} times; give it once, or once for each INPUT"
-        )
-    noise, *others = map(Sensor, choices["sensor"] or ["auto"])
-    config = EncoderConfig(
-        voxel_size_m=choices["voxel_size"],
-        max_depth_m=choices["max_depth"],
-        motion=Motion(choices["motion"]),
-        sensor=noise,
-        other_sensors=tuple(others),
-        segmentation=choices["segment"],
-        focus=choices["focus"],
-        depth_video=DepthVideo(choices["depth_video"]),
-        threads=choices["threads"] or default_threads(),
-    )
-    if choices["quality"] is not None:
-        config = with_quality(config, choices["quality"])
-    config = replace(with_preset(config, preset), bitrate_bps=choices["bitrate"])
-    return replace(config, appearance=replace(config.appearance, relief_bits=choices["relief"]))
 
 
 def _summary(report: EncodeReport, output: Path) -> str:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OUTPUTS",
-    "READER_OPTIONS",
     "bit_rate",
     "decoded_outputs",
     "focus",
@@ -45,8 +44,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # Written out here because the module that lists them loads OpenCV, which --help must not wait for.
 LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare", "flat")
-READER_OPTIONS = ("layout", "color", "depth", "intrinsics", "depth_scale", "fps", "poses")
-"""Names of what `reader_options` adds: each a tuple, given once, or once for each sensor."""
 OUTPUTS = ("color", "depth", "labels")
 DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
 LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
@@ -162,7 +159,7 @@ def focus(text: str) -> Focus:
 
 
 def reader_options(function: F) -> F:
-    """Add the options that tell how a recording is read, `READER_OPTIONS`."""
+    """Add the options of a `ReaderRequest`: each a tuple, given once, or once for each sensor."""
     options = [
         click.option("--layout", type=click.Choice(LAYOUTS), multiple=True,
                      help="Layout of the recording.  [default: auto]"),

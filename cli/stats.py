@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from threedvc.cli.options import force_option, json_option, reader_options, stre
 from threedvc.cli.plotting import check_plotting, is_plot, plot_statistics
 from threedvc.cli.progress import Progress
 from threedvc.cli.report_lines import report_lines
+from threedvc.cli.requests import ReaderRequest
 from threedvc.formats.outputs import Kind, check_target, is_direct, write_output
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def stats(
         report = statistics(
             source,
             references or None,
-            options=_of_references(choices, len(references)),
+            options=ReaderRequest.of(choices).for_references(len(references)),
             on_frame=lambda index: progress.advance(index + 1),
             on_notice=lambda notice: click.echo(notice, err=True),
         )
@@ -85,20 +86,6 @@ def stats(
     if plot is not None:
         plot_statistics(report, plot, force=force)
     click.echo(report.to_json() if as_json else "\n".join(report_lines(report)))
-
-
-def _of_references(choices: Mapping[str, Sequence[Any]], count: int) -> list[dict[str, Any]]:
-    """Return what is said of each reference."""
-    for name, given in choices.items():
-        if len(given) not in (0, 1, count):
-            option = f"--{name.replace('_', '-')}"
-            raise click.UsageError(
-                f"{option} is given {len(given)} times for {count} references; give it once, or once for each"
-            )
-    return [
-        {name: given[number if len(given) > 1 else 0] for name, given in choices.items() if given}
-        for number in range(count)
-    ]
 
 
 def _check_outputs(outputs: Sequence[tuple[Path, Kind, str]], source: Path, *, force: bool) -> None:
