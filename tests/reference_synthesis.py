@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.kernels import synthesis as kernels
+from threedvc.kernels.synthesis.parts import BOX, CAPSULE, ELLIPSOID, FRUSTUM, RECTANGLE
 from threedvc.synthesis.scene import Scene
 from threedvc.synthesis.shapes import Part, Shape
 
@@ -23,15 +23,15 @@ def implicit(shape: Shape, points: Array) -> Array:
     a, b, c = shape.size
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     around = np.hypot(x, y)
-    if shape.kind == kernels.RECTANGLE:
+    if shape.kind == RECTANGLE:
         return z
-    if shape.kind == kernels.BOX:
+    if shape.kind == BOX:
         return np.max(np.abs(points) - np.array(shape.size), axis=-1)
-    if shape.kind == kernels.ELLIPSOID:
+    if shape.kind == ELLIPSOID:
         return np.linalg.norm(points / np.array(shape.size), axis=-1) - 1
-    if shape.kind == kernels.FRUSTUM:
+    if shape.kind == FRUSTUM:
         return np.maximum(around - (a + (b - a) * (z + c) / (2 * c)), np.abs(z) - c)
-    if shape.kind == kernels.CAPSULE:
+    if shape.kind == CAPSULE:
         return np.hypot(around, z - np.clip(z, -b, b)) - a
     return np.hypot(around - a, z) - b
 
@@ -49,7 +49,7 @@ def first_hit(shape: Shape, origin: Array, direction: Array, near: float = 1e-7)
     for change in np.flatnonzero((values[:-1] < 0) != (values[1:] < 0)):
         hit = _bisected(shape, origin, direction, t[change], t[change + 1])
         point = origin + hit * direction
-        if shape.kind != kernels.RECTANGLE or bool(np.all(np.abs(point[:2]) <= np.array(shape.size[:2]))):
+        if shape.kind != RECTANGLE or bool(np.all(np.abs(point[:2]) <= np.array(shape.size[:2]))):
             return hit
     return np.inf
 

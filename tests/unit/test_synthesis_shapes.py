@@ -8,7 +8,9 @@ import pytest
 
 import reference_synthesis as reference
 from threedvc.errors import ConfigError
-from threedvc.kernels import synthesis as kernels
+from threedvc.kernels.synthesis.parts import CHECKER, NOISE, PART, RECTANGLE, TORUS
+from threedvc.kernels.synthesis.shapes import hit_distance, surface
+from threedvc.kernels.synthesis.textures import pattern_color, value_noise
 from threedvc.synthesis import shapes, textures
 from threedvc.synthesis.shapes import Shape
 
@@ -30,7 +32,7 @@ SHAPES = {
 def distance(shape: Shape, origin: np.ndarray, direction: np.ndarray, near: float = 1e-9) -> float:
     """Call the kernel."""
     o, d = tuple(map(float, origin)), tuple(map(float, direction))
-    return kernels.hit_distance(shape.kind, o, d, np.array(shape.size), near)
+    return hit_distance(shape.kind, o, d, np.array(shape.size), near)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -56,7 +58,7 @@ def test_first_hit_equals_dense_sampling(name: str, rng: np.random.Generator) ->
 @pytest.mark.parametrize("name", [name for name in SHAPES if name not in ("rectangle", "spindle torus")])
 def test_ray_from_inside_leaves_through_the_surface(name: str, rng: np.random.Generator) -> None:
     shape = SHAPES[name]
-    inside = np.array([shape.size[0], 0.0, 0.0]) if shape.kind == kernels.TORUS else np.array([0.0, 0.0, 0.02])
+    inside = np.array([shape.size[0], 0.0, 0.0]) if shape.kind == TORUS else np.array([0.0, 0.0, 0.02])
     for _ in range(30):
         direction = rng.normal(size=3)
         t = distance(shape, inside, direction)
@@ -67,7 +69,7 @@ def test_ray_from_inside_leaves_through_the_surface(name: str, rng: np.random.Ge
 @pytest.mark.parametrize("name", SHAPES)
 def test_hits_behind_near_are_ignored(name: str) -> None:
     shape = SHAPES[name]
-    target = np.array([shape.size[0], 0.01, 0.0]) * (1.0 if shape.kind == kernels.TORUS else 0.1)
+    target = np.array([shape.size[0], 0.01, 0.0]) * (1.0 if shape.kind == TORUS else 0.1)
     start = np.array([0.021, 0.017, 1.0])
     along = target - start
     first = distance(shape, start, along)
@@ -86,7 +88,7 @@ def test_rays_along_the_axes(name: str, axis: int) -> None:
         origin = -2.0 * direction
         origin[(axis + 1) % 3] = offset
         expected = reference.first_hit(shape, origin, direction)
-        in_plane = shape.kind == kernels.RECTANGLE and axis != 2
+        in_plane = shape.kind == RECTANGLE and axis != 2
         assert distance(shape, origin, direction) == pytest.approx(np.inf if in_plane else expected, abs=1e-9)
 
 
@@ -100,7 +102,7 @@ def test_normals_are_the_gradient(name: str, rng: np.random.Generator) -> None:
         if not np.isfinite(t):
             continue
         point = origin + t * direction
-        *found, u, v = kernels.surface(shape.kind, np.array(shape.size), *point)
+        *found, u, v = surface(shape.kind, np.array(shape.size), *point)
         expected = reference.normal(shape, point)
         if np.linalg.norm(reference.normal(shape, point + 2e-6) - expected) > 1e-3:
             continue
@@ -130,7 +132,7 @@ def test_impossible_sizes_are_refused(make) -> None:  # type: ignore[no-untyped-
 
 def record(texture: textures.Texture) -> np.void:
     """Return the table row of a part with this texture, its picture (if any) being the first texels."""
-    row = np.zeros(1, dtype=kernels.PART)[0]
+    row = np.zeros(1, dtype=PART)[0]
     row["pattern"], row["colors"], row["seed"] = texture.pattern, texture.colors, texture.seed
     row["scale"], row["grain"] = texture.scale_m, texture.grain
     if texture.image is not None:
@@ -142,7 +144,7 @@ def colors_at(texture: textures.Texture, points: np.ndarray) -> np.ndarray:
     """Evaluate a texture at (n, 3) body points, whose x and y serve as texture coordinates."""
     texels = np.zeros((1, 3), np.uint8) if texture.image is None else texture.image.reshape(-1, 3)
     row = record(texture)
-    return np.array([kernels.pattern_color(row, texels, *map(float, p), float(p[0]), float(p[1])) for p in points])
+    return np.array([pattern_color(row, texels, *map(float, p), float(p[0]), float(p[1])) for p in points])
 
 
 RED, BLUE = (200, 40, 30), (20, 60, 180)
@@ -163,18 +165,18 @@ def test_solid_patterns_mix_two_colours(make, rng: np.random.Generator) -> None:
 
 def test_noise_is_continuous_across_cells() -> None:
     for edge in (-2.0, 0.0, 1.0, 7.0):
-        before, after = (kernels.value_noise(edge + d, 0.3, -4.6, 9) for d in (-1e-9, 1e-9))
+        before, after = (value_noise(edge + d, 0.3, -4.6, 9) for d in (-1e-9, 1e-9))
         assert after == pytest.approx(before, abs=1e-6)
 
 
 def test_checker_alternates() -> None:
-    texture = textures.Texture(pattern=kernels.CHECKER, colors=(RED, BLUE), scale_m=(0.1, 0.2))
+    texture = textures.Texture(pattern=CHECKER, colors=(RED, BLUE), scale_m=(0.1, 0.2))
     points = np.array([[0.05, 0.1, 0], [0.15, 0.1, 0], [0.05, 0.3, 0], [0.15, 0.3, 0], [-0.05, 0.1, 0]])
     np.testing.assert_array_equal(colors_at(texture, points), np.array([RED, BLUE, BLUE, RED, BLUE]))
 
 
 def test_stripes_do_not_change_along_themselves() -> None:
-    texture = textures.Texture(pattern=kernels.CHECKER, colors=(RED, BLUE), scale_m=(0.1, float("inf")))
+    texture = textures.Texture(pattern=CHECKER, colors=(RED, BLUE), scale_m=(0.1, float("inf")))
     up = np.array([[0.05, v, 0] for v in (0.0, 0.2, 5.0, 100.0)])
     np.testing.assert_array_equal(colors_at(texture, up), np.array([RED] * 4))
     assert textures.stripes(RED, BLUE, 0.1).scale_m == (float("inf"), 0.1)
@@ -214,6 +216,6 @@ def test_pictures_follow_their_seed(draw) -> None:  # type: ignore[no-untyped-de
 
 def test_impossible_textures_are_refused() -> None:
     with pytest.raises(ConfigError, match="periods"):
-        textures.Texture(pattern=kernels.NOISE, scale_m=(0.0, 1.0))
+        textures.Texture(pattern=NOISE, scale_m=(0.0, 1.0))
     with pytest.raises(ConfigError, match="shape"):
         textures.picture(np.zeros((4, 4), np.uint8), 1, 1)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, identity, inverse
-from threedvc.kernels import synthesis as kernels
+from threedvc.kernels.synthesis.parts import PART
+from threedvc.kernels.synthesis.ray_tracing import TILE, mark_hidden, trace_color, trace_depth
 from threedvc.parallel import default_threads, for_ranges
 from threedvc.synthesis.scene import Scene
 from threedvc.synthesis.shapes import Part
@@ -80,8 +81,8 @@ class SceneRenderer:
         depth, labels = np.empty(rays.shape[:2]), np.empty(rays.shape[:2], dtype=np.uint8)
         parts, bounds = self._placed(index, inverse(self.scene.T_world_camera[index]))
         for_ranges(
-            lambda start, stop: kernels.trace_depth(start, stop, rays, parts, bounds, depth, labels),
-            -(-len(depth) // kernels.TILE),
+            lambda start, stop: trace_depth(start, stop, rays, parts, bounds, depth, labels),
+            -(-len(depth) // TILE),
             self._threads,
         )
         return depth, labels
@@ -95,8 +96,8 @@ class SceneRenderer:
         lights[:, :3] = self._lights[:, :3] @ T_color_world[:3, :3].T + T_color_world[:3, 3]
         color = np.empty((rays.shape[0] // SAMPLES, rays.shape[1] // SAMPLES, 3))
         for_ranges(
-            lambda start, stop: kernels.trace_color(start, stop, rays, parts, bounds, texels, lights, ambient, color),
-            -(-len(color) // kernels.TILE),
+            lambda start, stop: trace_color(start, stop, rays, parts, bounds, texels, lights, ambient, color),
+            -(-len(color) // TILE),
             self._threads,
         )
         if self.scene.grey:
@@ -123,7 +124,7 @@ class SceneRenderer:
         rays, place = self._depth_rays, np.asarray(source, dtype=np.float64)
         parts, bounds = self._placed(index, inverse(self.scene.T_world_camera[index]))
         for_ranges(
-            lambda start, stop: kernels.mark_hidden(start, stop, rays, depth, parts, bounds, place, hidden),
+            lambda start, stop: mark_hidden(start, stop, rays, depth, parts, bounds, place, hidden),
             len(depth),
             self._threads,
         )
@@ -157,7 +158,7 @@ def _inverses(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _part_table(labelled: list[tuple[int, Part]]) -> tuple[NDArray[Any], NDArray[np.uint8]]:
     """Return the records of all parts, not yet placed, and the texels of their pictures."""
-    parts = np.zeros(len(labelled), dtype=kernels.PART)
+    parts = np.zeros(len(labelled), dtype=PART)
     pictures: dict[int, tuple[int, int, int]] = {}
     texels = [np.zeros((1, 3), dtype=np.uint8)]
     filled = 1

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from threedvc.errors import ConfigError
 from threedvc.geometry.pose import Pose, identity, make_pose
-from threedvc.kernels import synthesis as kernels
+from threedvc.kernels.synthesis.parts import BOX, CAPSULE, ELLIPSOID, FRUSTUM, RECTANGLE, TORUS
 from threedvc.synthesis.textures import Texture
 
 __all__ = [
@@ -42,7 +42,7 @@ class Shape:
     Attributes
     ----------
     kind
-        One of the primitives of `threedvc.kernels.synthesis`.
+        One of the primitives of `threedvc.kernels.synthesis.parts`.
     size
         Three sizes in metres; what they mean depends on the kind, see the functions that make shapes.
     radius
@@ -74,17 +74,17 @@ class Part:
 
 def rectangle(width: float, height: float) -> Shape:
     """Return a rectangle in the plane z = 0; it is seen from both sides."""
-    return Shape(kind=kernels.RECTANGLE, size=(width / 2, height / 2, 0.0), radius=float(np.hypot(width, height)) / 2)
+    return Shape(kind=RECTANGLE, size=(width / 2, height / 2, 0.0), radius=float(np.hypot(width, height)) / 2)
 
 
 def box(x: float, y: float, z: float) -> Shape:
     """Return a box with these edges."""
-    return Shape(kind=kernels.BOX, size=(x / 2, y / 2, z / 2), radius=float(np.linalg.norm([x, y, z])) / 2)
+    return Shape(kind=BOX, size=(x / 2, y / 2, z / 2), radius=float(np.linalg.norm([x, y, z])) / 2)
 
 
 def ellipsoid(x: float, y: float, z: float) -> Shape:
     """Return an ellipsoid with these semi-axes."""
-    return Shape(kind=kernels.ELLIPSOID, size=(x, y, z), radius=max(x, y, z))
+    return Shape(kind=ELLIPSOID, size=(x, y, z), radius=max(x, y, z))
 
 
 def ball(radius: float) -> Shape:
@@ -95,7 +95,7 @@ def ball(radius: float) -> Shape:
 def frustum(bottom_radius: float, top_radius: float, height: float) -> Shape:
     """Return a closed, cut cone about z; a full cone has one radius 0."""
     radius = float(np.hypot(max(bottom_radius, top_radius), height / 2))
-    return Shape(kind=kernels.FRUSTUM, size=(bottom_radius, top_radius, height / 2), radius=radius)
+    return Shape(kind=FRUSTUM, size=(bottom_radius, top_radius, height / 2), radius=radius)
 
 
 def cylinder(radius: float, height: float) -> Shape:
@@ -105,12 +105,12 @@ def cylinder(radius: float, height: float) -> Shape:
 
 def capsule(radius: float, length: float) -> Shape:
     """Return a capsule about z; `length` is between the centres of its round ends."""
-    return Shape(kind=kernels.CAPSULE, size=(radius, length / 2, 0.0), radius=radius + length / 2)
+    return Shape(kind=CAPSULE, size=(radius, length / 2, 0.0), radius=radius + length / 2)
 
 
 def torus(ring_radius: float, tube_radius: float) -> Shape:
     """Return a ring about z."""
-    return Shape(kind=kernels.TORUS, size=(ring_radius, tube_radius, 0.0), radius=ring_radius + tube_radius)
+    return Shape(kind=TORUS, size=(ring_radius, tube_radius, 0.0), radius=ring_radius + tube_radius)
 
 
 def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import ConfigError
-from threedvc.kernels import synthesis as kernels
+from threedvc.kernels.synthesis.parts import CHECKER, MARBLE, NOISE, PATCHES, PICTURE, PLAIN, WOOD
 
 __all__ = [
     "RGB",
@@ -60,7 +60,7 @@ class Texture:
     Attributes
     ----------
     pattern
-        One of the patterns of `threedvc.kernels.synthesis`.
+        One of the patterns of `threedvc.kernels.synthesis.parts`.
     colors
         The two colours that the pattern mixes.
     scale_m
@@ -94,43 +94,43 @@ class Texture:
 
 def plain(color: RGB, grain: float = 0.15) -> Texture:
     """Return one colour with a little grain."""
-    return Texture(pattern=kernels.PLAIN, colors=(color, color), grain=grain)
+    return Texture(pattern=PLAIN, colors=(color, color), grain=grain)
 
 
 def checker(first: RGB, second: RGB, width_m: float, height_m: float) -> Texture:
     """Return a checkerboard."""
-    return Texture(pattern=kernels.CHECKER, colors=(first, second), scale_m=(width_m, height_m), grain=0.12)
+    return Texture(pattern=CHECKER, colors=(first, second), scale_m=(width_m, height_m), grain=0.12)
 
 
 def stripes(first: RGB, second: RGB, width_m: float, *, upright: bool = False) -> Texture:
     """Return stripes, level or upright."""
     scale = (width_m, float("inf")) if upright else (float("inf"), width_m)
-    return Texture(pattern=kernels.CHECKER, colors=(first, second), scale_m=scale, grain=0.12)
+    return Texture(pattern=CHECKER, colors=(first, second), scale_m=scale, grain=0.12)
 
 
 def noise(first: RGB, second: RGB, scale_m: float, seed: int = 0) -> Texture:
     """Return soft clouds."""
-    return Texture(pattern=kernels.NOISE, colors=(first, second), scale_m=(scale_m, scale_m), seed=seed)
+    return Texture(pattern=NOISE, colors=(first, second), scale_m=(scale_m, scale_m), seed=seed)
 
 
 def marble(first: RGB, second: RGB, scale_m: float, seed: int = 0) -> Texture:
     """Return marble veins."""
-    return Texture(pattern=kernels.MARBLE, colors=(first, second), scale_m=(scale_m, scale_m), seed=seed)
+    return Texture(pattern=MARBLE, colors=(first, second), scale_m=(scale_m, scale_m), seed=seed)
 
 
 def wood(first: RGB, second: RGB, ring_m: float, seed: int = 0) -> Texture:
     """Return growth rings about a distant axis along the body's x."""
-    return Texture(pattern=kernels.WOOD, colors=(first, second), scale_m=(ring_m, ring_m), grain=0.2, seed=seed)
+    return Texture(pattern=WOOD, colors=(first, second), scale_m=(ring_m, ring_m), grain=0.2, seed=seed)
 
 
 def patches(first: RGB, second: RGB, scale_m: float, seed: int = 0) -> Texture:
     """Return sharp blots of the second colour on the first, as on a cow's hide."""
-    return Texture(pattern=kernels.PATCHES, colors=(first, second), scale_m=(scale_m, scale_m), grain=0.1, seed=seed)
+    return Texture(pattern=PATCHES, colors=(first, second), scale_m=(scale_m, scale_m), grain=0.1, seed=seed)
 
 
 def picture(image: Image, width_m: float, height_m: float, grain: float = 0.0) -> Texture:
     """Return a picture of a given size, repeated beyond it."""
-    return Texture(pattern=kernels.PICTURE, scale_m=(width_m, height_m), grain=grain, image=image)
+    return Texture(pattern=PICTURE, scale_m=(width_m, height_m), grain=grain, image=image)
 
 
 def wallpaper(ground: RGB, petals: RGB, rng: np.random.Generator) -> Texture:

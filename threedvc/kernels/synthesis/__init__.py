@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Kernels that make exact frames of scenes of our own."""
