@@ -18,7 +18,7 @@ from threedvc.config import RenderConfig
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
-from threedvc.kernels.render.raycast import OPACITY, cast_rays
+from threedvc.kernels.render.raycast import OPACITY, CastBlocks, Tiles, cast_rays
 from threedvc.kernels.render.shading import relight, round_colors, shade, shade_from_picture
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.post_filter import PictureFilter, kinds_of_pixels
@@ -199,14 +199,14 @@ class Renderer:
     ) -> Callable[[NDArray[np.int64]], None]:
         """Return a function that casts the rays of given numbers into one object."""
         T_cells_camera = cells_from_camera(pose, model.model.voxel_size_m)
-        near, far = rays.ranges(model.index, pose, model.model.voxel_size_m)
+        tiles = Tiles(rays.origin, rays.size, *rays.ranges(model.index, pose, model.model.voxel_size_m))
+        blocks = CastBlocks(model.index.tables, model.skip, model.corners, model.plane)
 
         def cast(order: NDArray[np.int64]) -> None:
             def ray_range(start: int, stop: int) -> None:
                 cast_rays(
-                    rays.slopes, order, start, stop, T_cells_camera, rays.origin, rays.size, near, far,
-                    model.index.tables, model.skip, model.corners, model.plane, number, OPACITY, depth, labels,
-                )  # fmt: skip
+                    rays.slopes, order, start, stop, T_cells_camera, tiles, blocks, number, OPACITY, depth, labels
+                )
 
             for_ranges(ray_range, len(order), self.config.threads)
 

@@ -13,12 +13,15 @@ outside, although the surface behind the rim turns its back on it.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from threedvc.kernels import inlined, kernel
 from threedvc.kernels.blocks import find_block
 
-__all__ = ["cast_rays", "surface_at", "tile_ranges"]
+__all__ = ["CastBlocks", "Line", "Tiles", "cast_rays", "surface_at", "tile_ranges"]
 
 OPACITY = 0.3
 FAR = 1e9
@@ -37,6 +40,74 @@ ROUNDING = 1e-15
 hold a ray for ever."""
 LOWEST = np.array([0] + [(bits & -bits).bit_length() - 1 for bits in range(1, 256)])
 """Place of the lowest bit that is set."""
+
+
+class Tiles(NamedTuple):
+    """Tiles of the slope plane, and the depths between which each may meet something.
+
+    Attributes
+    ----------
+    origin, size
+        (2,) slope of the first tile's corner, and extent of a tile, along x and y.
+    near, far
+        (rows, columns) float64 metres.
+    """
+
+    origin: NDArray[np.float64]
+    size: NDArray[np.float64]
+    near: NDArray[np.float64]
+    far: NDArray[np.float64]
+
+
+class CastBlocks(NamedTuple):
+    """Render blocks of one object.
+
+    Attributes
+    ----------
+    tables
+        Their index, see `threedvc.kernels.blocks`.
+    skip
+        (blocks, 512) uint8: how many cells away the nearest cube with an occupied corner is.
+    corners
+        (blocks, 512) uint8: a bit for each occupied corner of a cube, that of x lowest.
+    plane
+        (blocks, 729, 4) int8 planes of the cells, border cells included.
+    """
+
+    tables: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+    skip: NDArray[np.uint8]
+    corners: NDArray[np.uint8]
+    plane: NDArray[np.int8]
+
+
+class Line(NamedTuple):
+    """A ray in cells: its origin, its direction per unit of t, and that direction at unit length."""
+
+    origin: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    unit: tuple[float, float, float]
+
+
+class Passage(NamedTuple):
+    """What a ray takes from cube to cube and from block to block.
+
+    Attributes
+    ----------
+    nearest_at, nearest
+        Parameter and distance of the nearest approach to a surface that the ray has not crossed; distance FAR: none.
+        A ray that leaves the neighbourhood of a surface may be stopped there, else a shell of one cell would have
+        streaks.
+    crossed_at
+        Parameter at which the ray has crossed a surface where too little is opaque, or FAR: if enough is further on,
+        before the ray comes out again, it was stopped there.
+    outward
+        A direction that planes shall face, see `surface_at`.
+    """
+
+    nearest_at: float
+    nearest: float
+    crossed_at: float
+    outward: tuple[float, float, float]
 
 
 @kernel
@@ -87,25 +158,30 @@ def tile_ranges(coords, count, T_camera_cells, tile_origin, tile_size, near, far
 
 
 @inlined
-def surface_at(corners, plane, block, base, x, y, z, ux, uy, uz, gx, gy, gz):
-    """Measure the signed distance in cells at (x, y, z) within the cube at `base`; FAR where no cell counts.
+def surface_at(corners, plane, block, base, point, unit, outward):
+    """Measure the signed distance in cells at a point within the cube at `base`; FAR where no cell counts.
 
     Parameters
     ----------
     corners
         Bits of the corners that count: those occupied, on a face of the cube only those of that face.
-    plane
-        (render blocks, 729, 4) planes.
-    ux, uy, uz
+    plane, block
+        (render blocks, 729, 4) planes, and the number of the block.
+    point
+        Relative to the corner cell of the cube.
+    unit
         Unit direction of the ray.
-    gx, gy, gz
-        Outward: a direction that planes shall face.
+    outward
+        A direction that planes shall face.
 
     Returns
     -------
-    distance, mx, my, mz, total
+    distance, normal, total
         Distance, the mean of the normals so turned, and how much of the weight the corners that count have.
     """
+    x, y, z = point
+    ux, uy, uz = unit
+    gx, gy, gz = outward
     total, mean = 0.0, 0.0
     mx, my, mz = 0.0, 0.0, 0.0
     while corners:
@@ -123,14 +199,21 @@ def surface_at(corners, plane, block, base, x, y, z, ux, uy, uz, gx, gy, gz):
         s = nx * ax + ny * ay + nz * az - plane[block, cell, 3]
         if nx == 0.0 and ny == 0.0 and nz == 0.0:
             s = -PLANE_SCALE * (ux * ax + uy * ay + uz * az)
-        turn = -1.0 if nx * gx + ny * gy + nz * gz < 0.0 else 1.0
-        turned = turn * w
-        mx += turned * nx
-        my += turned * ny
-        mz += turned * nz
-        mean += turned * s
+        sign = -1.0 if nx * gx + ny * gy + nz * gz < 0.0 else 1.0
+        signed = sign * w
+        mx += signed * nx
+        my += signed * ny
+        mz += signed * nz
+        mean += signed * s
         total += w
-    return (mean / (total * PLANE_SCALE) if total > 0.0 else FAR), mx, my, mz, total
+    return (mean / (total * PLANE_SCALE) if total > 0.0 else FAR), (mx, my, mz), total
+
+
+@inlined
+def point_on(line, t):
+    """Return the point of a line at a parameter."""
+    (ax, ay, az), (dx, dy, dz) = line.origin, line.direction
+    return ax + t * dx, ay + t * dy, az + t * dz
 
 
 @kernel
@@ -150,17 +233,15 @@ def away_from_zero(d):
 
 
 @inlined
-def refine_hit(corners, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, gx, gy, gz, low, f_low, high, f_high):
+def refine_hit(corners, plane, block, base, line, outward, low, f_low, high, f_high):
     """Find the sign change between `low` and `high` by two secant steps; return it, and the weight that counts there.
 
-    (ax, ay, az) is the ray's origin relative to the corner cell of the cube, (dx, dy, dz) its direction.
+    The origin of the line is relative to the corner cell of the cube.
     """
     hit, opaque = low, 0.0
     for _ in range(2):
         hit = low + (high - low) * f_low / (f_low - f_high)
-        f, _x, _y, _z, opaque = surface_at(
-            corners, plane, block, base, ax + hit * dx, ay + hit * dy, az + hit * dz, ux, uy, uz, gx, gy, gz
-        )
+        f, _normal, opaque = surface_at(corners, plane, block, base, point_on(line, hit), line.unit, outward)
         if f > 0.0:
             low, f_low = hit, min(f, MAX_DISTANCE)
         else:
@@ -169,7 +250,7 @@ def refine_hit(corners, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, 
 
 
 @kernel
-def is_stopped(distance, gx, gy, gz, ux, uy, uz):
+def is_stopped(distance, outward, unit):
     """Tell whether a ray is stopped that leaves the neighbourhood of a surface without having crossed it.
 
     It has slipped through a shell of one cell if it came near and the surface still faces it where it leaves; beside
@@ -177,25 +258,24 @@ def is_stopped(distance, gx, gy, gz, ux, uy, uz):
     """
     if distance >= GRAZE:
         return False
+    (gx, gy, gz), (ux, uy, uz) = outward, unit
     frontal = -(gx * ux + gy * uy + gz * uz) > FRONTAL * np.sqrt(gx * gx + gy * gy + gz * gz)
     return distance < (GRAZE if frontal else RIM)
 
 
 @kernel
-def leaving_face(axis, x, y, z, dx, dy, dz):
+def leaving_face(axis, point, direction):
     """Put a point of a cube onto the face across `axis` by which a ray leaves; return it, and the face's corners."""
+    (x, y, z), (dx, dy, dz) = point, direction
     if axis == 0:
-        return (1.0, y, z, 0b10101010) if dx > 0.0 else (0.0, y, z, 0b01010101)
+        return ((1.0, y, z), 0b10101010) if dx > 0.0 else ((0.0, y, z), 0b01010101)
     if axis == 1:
-        return (x, 1.0, z, 0b11001100) if dy > 0.0 else (x, 0.0, z, 0b00110011)
-    return (x, y, 1.0, 0b11110000) if dz > 0.0 else (x, y, 0.0, 0b00001111)
+        return ((x, 1.0, z), 0b11001100) if dy > 0.0 else ((x, 0.0, z), 0b00110011)
+    return ((x, y, 1.0), 0b11110000) if dz > 0.0 else ((x, y, 0.0), 0b00001111)
 
 
 @inlined
-def pass_cube(
-    occupied, axis, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, t, t_out, before, opacity,
-    passed_at, passed, crossed, gx, gy, gz,
-):  # fmt: skip
+def pass_cube(occupied, axis, plane, block, base, line, t, t_out, before, opacity, passage):
     """Pass a cube with occupied corners from `t` to `t_out`.
 
     Parameters
@@ -204,86 +284,73 @@ def pass_cube(
         A bit for each occupied corner.
     axis
         Along which the ray leaves.
-    ax, ay, az
-        Origin of the ray relative to the corner cell of the cube.
+    line
+        The ray, its origin relative to the corner cell of the cube.
     before
         Distance at `t` by the face that is shared with the cube before; FAR: not known.
-    passed_at, passed, crossed, gx, gy, gz
-        See `cast_in_block`.
+    passage
+        See `Passage`.
 
     Returns
     -------
-    hit, before, passed_at, passed, crossed, gx, gy, gz
+    hit, before, passage
         The hit or FAR, and what the next cube takes.
     """
+    nearest_at, nearest, crossed, outward = passage
     hit, last = FAR, t_out
-    x, y, z, face = leaving_face(axis, ax + last * dx, ay + last * dy, az + last * dz, dx, dy, dz)
-    after, nx, ny, nz, opaque = surface_at(
-        occupied & face, plane, block, base, x, y, z, ux, uy, uz, gx, gy, gz
-    )  # fmt: skip
+    point, face = leaving_face(axis, point_on(line, last), line.direction)
+    after, normal, opaque = surface_at(occupied & face, plane, block, base, point, line.unit, outward)
     if after == FAR:
         last = t + NEAR_END * (t_out - t)
-        after, nx, ny, nz, opaque = surface_at(
-            occupied, plane, block, base, ax + last * dx, ay + last * dy, az + last * dz, ux, uy, uz, gx, gy, gz
-        )
+        after, normal, opaque = surface_at(occupied, plane, block, base, point_on(line, last), line.unit, outward)
         opaque = 0.0
     if after > 0.0:
         crossed = FAR
-        if after < passed:
-            passed_at, passed = last, after
+        if after < nearest:
+            nearest_at, nearest = last, after
     else:
         if before == FAR:
-            before, _x, _y, _z, _w = surface_at(
-                occupied, plane, block, base, ax + t * dx, ay + t * dy, az + t * dz, ux, uy, uz, gx, gy, gz
-            )
+            before, _normal, _weight = surface_at(occupied, plane, block, base, point_on(line, t), line.unit, outward)
         if before > 0.0:
             crossed, opaque = refine_hit(
-                occupied, plane, block, base, ax, ay, az, dx, dy, dz, ux, uy, uz, gx, gy, gz,
-                t, min(before, MAX_DISTANCE), last, after,
-            )  # fmt: skip
+                occupied, plane, block, base, line, outward, t, min(before, MAX_DISTANCE), last, after
+            )
         elif crossed == FAR:
             crossed = last
         if opaque > opacity:
             hit = crossed
         else:
-            passed = FAR
+            nearest = FAR
+    nx, ny, nz = normal
     if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
-        gx, gy, gz = nx, ny, nz
-    return hit, (after if last == t_out else FAR), passed_at, passed, crossed, gx, gy, gz
+        outward = normal
+    return hit, (after if last == t_out else FAR), Passage(nearest_at, nearest, crossed, outward)
 
 
 @inlined
-def cast_in_block(
-    skip, corners, plane, block, px, py, pz, dx, dy, dz, inverse_x, inverse_y, inverse_z, ux, uy, uz, t, t_end,
-    opacity, passed_at, passed, crossed, gx, gy, gz,
-):  # fmt: skip
+def cast_in_block(skip, corners, plane, block, line, inverse, t, t_end, opacity, passage):
     """Walk the cells of one render block from `t` to `t_end`.
 
     Parameters
     ----------
-    skip
-        (render blocks, 512) uint8: how many cells away the nearest cube with an occupied corner is.
-    corners
-        (render blocks, 512) uint8: a bit for each occupied corner of a cube, that of x lowest.
-    plane, block
-        (render blocks, 729, 4) int8, and the number of the block.
-    px, py, pz
-        Origin of the ray relative to the block, in cells; directions, none of them 0, are per unit of t.
-    passed_at, passed
-        Parameter and distance of the nearest approach to a surface that the ray has not crossed; distance FAR: none.
-        A ray that leaves the neighbourhood of a surface may be stopped there, else a shell of one cell would have
-        streaks.
-    crossed
-        Parameter at which the ray has crossed a surface where too little is opaque, or FAR: if enough is further on,
-        before the ray comes out again, it was stopped there.
-    gx, gy, gz
-        Outward, see `surface_at`.
+    skip, corners, plane
+        See `CastBlocks`.
+    block
+        The number of the block.
+    line
+        The ray, its origin relative to the block, in cells.
+    inverse
+        One over each component of its direction, none of which is 0.
+    passage
+        See `Passage`.
 
     Returns
     -------
-    hit, passed_at, passed, crossed, gx, gy, gz
+    hit, passage
         The parameter of the hit, or FAR, and what the next block takes.
     """
+    (px, py, pz), (dx, dy, dz) = line.origin, line.direction
+    inverse_x, inverse_y, inverse_z = inverse
     abs_x, abs_y, abs_z = abs(inverse_x), abs(inverse_y), abs(inverse_z)
     nudge = max(BLOCK_NUDGE * min(abs_x, abs_y, abs_z), ROUNDING * t_end)
     step_x, step_y, step_z = 1 if dx > 0.0 else -1, 1 if dy > 0.0 else -1, 1 if dz > 0.0 else -1
@@ -298,11 +365,11 @@ def cast_in_block(
         while inside and skip[block, ix + 8 * iy + 64 * iz] == 0:
             t_out = min(tx, ty, tz)
             axis = 0 if t_out == tx else (1 if t_out == ty else 2)
-            hit, before, passed_at, passed, crossed, gx, gy, gz = pass_cube(
-                np.int64(corners[block, ix + 8 * iy + 64 * iz]), axis, plane, block, ix + 9 * iy + 81 * iz,
-                px - ix, py - iy, pz - iz, dx, dy, dz, ux, uy, uz, t, t_out, before, opacity,
-                passed_at, passed, crossed, gx, gy, gz,
-            )  # fmt: skip
+            occupied, base = np.int64(corners[block, ix + 8 * iy + 64 * iz]), ix + 9 * iy + 81 * iz
+            within = Line((px - ix, py - iy, pz - iz), line.direction, line.unit)
+            hit, before, passage = pass_cube(
+                occupied, axis, plane, block, base, within, t, t_out, before, opacity, passage
+            )
             t = t_out
             if axis == 0:
                 ix += step_x
@@ -315,22 +382,25 @@ def cast_in_block(
                 tz = (iz - qz) * inverse_z
             inside = hit == FAR and t < t_end and min(ix, iy, iz) >= 0 and max(ix, iy, iz) <= 7
         if inside:
-            if is_stopped(passed, gx, gy, gz, ux, uy, uz):
-                hit = passed_at
-            passed = crossed = FAR
-            gx, gy, gz = -ux, -uy, -uz
+            if is_stopped(passage.nearest, passage.outward, line.unit):
+                hit = passage.nearest_at
+            passage = fresh_passage(passage.nearest_at, line.unit)
             free = skip[block, ix + 8 * iy + 64 * iz] - 1
             t = min(tx + free * abs_x, ty + free * abs_y, tz + free * abs_z) + nudge
             # Were a ray that far away set back by rounding, it could go round for ever.
             inside = hit == FAR and began < t < t_end
-    return hit, passed_at, passed, crossed, gx, gy, gz
+    return hit, passage
+
+
+@inlined
+def fresh_passage(nearest_at, unit):
+    """Return the passage of a ray that no surface is near: planes shall face it."""
+    ux, uy, uz = unit
+    return Passage(nearest_at, FAR, FAR, (-ux, -uy, -uz))
 
 
 @kernel
-def cast_rays(
-    rays, order, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, tables, skip,
-    corners, plane, label, opacity, depth, labels,
-):  # fmt: skip
+def cast_rays(rays, order, start, stop, T_cells_camera, tiles, blocks, label, opacity, depth, labels):
     """Cast rays ``order[start:stop]`` into one object and keep what is nearer than `depth` already holds.
 
     Parameters
@@ -339,11 +409,15 @@ def cast_rays(
         (n, 2) float64 slopes.
     T_cells_camera
         (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in metres.
-    tables, skip, corners, plane
-        Render blocks and their index.
+    tiles
+        See `Tiles`.
+    blocks
+        See `CastBlocks`.
     depth, labels
         (n,) float32 metres, 0 = nothing; (n,) uint8; updated.
     """
+    tile_origin, tile_size, tile_near, tile_far = tiles
+    tables, skip, corners, plane = blocks
     root_origin, root, supers = tables
     T = T_cells_camera
     ox, oy, oz = T[0, 3], T[1, 3], T[2, 3]
@@ -358,11 +432,11 @@ def cast_rays(
         dx = away_from_zero(T[0, 0] * sx + T[0, 1] * sy + T[0, 2])
         dy = away_from_zero(T[1, 0] * sx + T[1, 1] * sy + T[1, 2])
         dz = away_from_zero(T[2, 0] * sx + T[2, 1] * sy + T[2, 2])
-        inverse_x, inverse_y, inverse_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
-        nudge = max(RAY_NUDGE * min(abs(inverse_x), abs(inverse_y), abs(inverse_z)), ROUNDING * t_far)
+        inverse = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        nudge = max(RAY_NUDGE * min(abs(inverse[0]), abs(inverse[1]), abs(inverse[2])), ROUNDING * t_far)
         norm = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-        ux, uy, uz = dx * norm, dy * norm, dz * norm
-        passed_at, passed, crossed, gx, gy, gz = FAR, FAR, FAR, -ux, -uy, -uz
+        unit = dx * norm, dy * norm, dz * norm
+        passage = fresh_passage(FAR, unit)
         hit = FAR
         while t < t_far and hit == FAR:
             at = t + nudge
@@ -372,20 +446,17 @@ def cast_rays(
             number = find_block(bx, by, bz, root_origin, root, supers)
             size, shift = (64.0, 3) if number == -2 else (8.0, 0)
             leave = min(
-                (((bx >> shift) + (dx > 0.0)) * size - ox) * inverse_x,
-                (((by >> shift) + (dy > 0.0)) * size - oy) * inverse_y,
-                (((bz >> shift) + (dz > 0.0)) * size - oz) * inverse_z,
+                (((bx >> shift) + (dx > 0.0)) * size - ox) * inverse[0],
+                (((by >> shift) + (dy > 0.0)) * size - oy) * inverse[1],
+                (((bz >> shift) + (dz > 0.0)) * size - oz) * inverse[2],
             )
             if number >= 0:
-                hit, passed_at, passed, crossed, gx, gy, gz = cast_in_block(
-                    skip, corners, plane, number, ox - bx * 8, oy - by * 8, oz - bz * 8, dx, dy, dz,
-                    inverse_x, inverse_y, inverse_z, ux, uy, uz, at, leave, opacity,
-                    passed_at, passed, crossed, gx, gy, gz,
-                )  # fmt: skip
-            elif is_stopped(passed, gx, gy, gz, ux, uy, uz):
-                hit = passed_at
+                line = Line((ox - bx * 8, oy - by * 8, oz - bz * 8), (dx, dy, dz), unit)
+                hit, passage = cast_in_block(skip, corners, plane, number, line, inverse, at, leave, opacity, passage)
+            elif is_stopped(passage.nearest, passage.outward, unit):
+                hit = passage.nearest_at
             else:
-                passed, crossed, gx, gy, gz = FAR, FAR, -ux, -uy, -uz
+                passage = fresh_passage(passage.nearest_at, unit)
             t = max(leave, at)
         if hit < t_far:
             depth[r] = hit
