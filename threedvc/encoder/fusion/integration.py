@@ -21,7 +21,16 @@ from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.kernels.encoder.fusion import fuse_color, integrate_depth, mark_blocks, visible_blocks
+from threedvc.kernels.encoder.fusion import (
+    ColorCells,
+    ColorReading,
+    DepthCells,
+    DepthReading,
+    fuse_color,
+    integrate_depth,
+    mark_blocks,
+    visible_blocks,
+)
 from threedvc.parallel import for_ranges
 
 __all__ = ["Observation", "camera_parameters", "confidence_of", "free_space_log_odds", "fuse", "observe"]
@@ -130,21 +139,23 @@ def fuse(
     free = free_space_log_odds(sensor)
     index = model.index
 
+    depth_cells = DepthCells(
+        index.coords, model.voxel_size_m, index.tables, model.log_odds, model.distance, model.distance_weight,
+        model.first_seen,
+    )  # fmt: skip
+    depth_reading = DepthReading(parameters, seen.depth, mask, noise, config.band_sigmas, free, seen.frame)
+    color_cells = ColorCells(index.coords, model.voxel_size_m, model.color, model.color_weight)
+    color_reading = ColorReading(
+        seen.rig.T_color_depth, parameters, camera_parameters(seen.rig.color), seen.depth,
+        np.where(mask, seen.confidence, np.float32(0)), noise, seen.levels,
+    )  # fmt: skip
+
     def depth_range(start: int, stop: int) -> None:
-        integrate_depth(
-            numbers, start, stop, index.coords, model.voxel_size_m, T_camera_object, T_object_camera, parameters,
-            seen.depth, mask, noise, config.band_sigmas, free, index.tables, model.log_odds, delta, model.distance,
-            model.distance_weight, model.first_seen, seen.frame,
-        )  # fmt: skip
+        integrate_depth(numbers, start, stop, depth_cells, depth_reading, T_camera_object, T_object_camera, delta)
 
     def color_range(start: int, stop: int) -> None:
-        fuse_color(
-            numbers, start, stop, index.coords, model.voxel_size_m, T_camera_object, seen.rig.T_color_depth,
-            parameters, camera_parameters(seen.rig.color), seen.depth, confidence, noise, seen.levels, model.color,
-            model.color_weight,
-        )  # fmt: skip
+        fuse_color(numbers, start, stop, color_cells, color_reading, T_camera_object)
 
-    confidence = np.where(mask, seen.confidence, np.float32(0))
     for_ranges(depth_range, len(numbers), threads)
     model.log_odds[numbers] = np.clip(model.log_odds[numbers] + delta, -config.max_log_odds, config.max_log_odds)
     for_ranges(color_range, len(numbers), threads)

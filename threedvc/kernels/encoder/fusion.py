@@ -7,16 +7,87 @@ the state before the frame and writes only its own.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
 from threedvc.kernels.encoder.ray_update import cell_update
 
-__all__ = ["fuse_color", "integrate_depth", "mark_blocks", "project_point", "sensor_sigma", "visible_blocks"]
+__all__ = [
+    "ColorCells",
+    "ColorReading",
+    "DepthCells",
+    "DepthReading",
+    "fuse_color",
+    "integrate_depth",
+    "mark_blocks",
+    "project_point",
+    "sensor_sigma",
+    "visible_blocks",
+]
 
 MAX_WINDOW = 64
 BEYOND_BORDER = 0.02
+
+
+class DepthCells(NamedTuple):
+    """Cells of an object, as depth changes them: coordinates of the blocks (n, 3), and arrays (n, 512)."""
+
+    coords: NDArray[np.int32]
+    voxel_size: float
+    tables: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]
+    log_odds: NDArray[np.float32]
+    distance: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    first_seen: NDArray[np.int32]
+
+
+class DepthReading(NamedTuple):
+    """A depth picture (h, w), which pixels of it show the object, and what is known of its sensor."""
+
+    camera: NDArray[np.float64]
+    depth: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    sensor: NDArray[np.float64]
+    band_sigmas: float
+    free_log_odds: float
+    frame: int
+
+
+class ColorCells(NamedTuple):
+    """Cells of an object, as colour changes them: coordinates of blocks (n, 3), arrays (n, 512, 3) and (n, 512)."""
+
+    coords: NDArray[np.int32]
+    voxel_size: float
+    color: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+class ColorReading(NamedTuple):
+    """A colour picture with the depth picture that was taken with it.
+
+    Attributes
+    ----------
+    T_color_depth, depth_camera, color_camera
+        How the cameras lie, and their parameters.
+    depth, confidence
+        (h, w) float32 in the depth camera; confidence weighs viewing angle and depth edges.
+    sensor
+        Noise of the depth.
+    levels
+        A pyramid of float32 RGB pictures, each half the size of the one before.
+    """
+
+    T_color_depth: NDArray[np.float64]
+    depth_camera: NDArray[np.float64]
+    color_camera: NDArray[np.float64]
+    depth: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    sensor: NDArray[np.float64]
+    levels: tuple[NDArray[np.float32], ...]
 
 
 @kernel
@@ -137,15 +208,14 @@ def ray_window_update(
 
 
 @kernel
-def integrate_depth(
-    numbers, start, stop, coords, voxel_size, T_camera_object, T_object_camera, camera, depth, mask,
-    sensor, band_sigmas, free_log_odds, tables, log_odds, delta, distance, weight, first_seen, frame,
-):  # fmt: skip
+def integrate_depth(numbers, start, stop, cells, reading, T_camera_object, T_object_camera, delta):
     """Update occupancy, signed distance and first sight of the cells of blocks ``numbers[start:stop]``.
 
-    `delta` (len(numbers), 512) receives the change of the log-odds; the caller adds it when all
-    blocks are done, so that every ray sum sees the state before the frame.
+    `cells` are `DepthCells`, `reading` is a `DepthReading`. `delta` (len(numbers), 512) receives the change of the
+    log-odds; the caller adds it when all blocks are done, so that every ray sum sees the state before the frame.
     """
+    coords, voxel_size, tables, log_odds, distance, weight, first_seen = cells
+    camera, depth, mask, sensor, band_sigmas, free_log_odds, frame = reading
     odds = np.empty(MAX_WINDOW)
     likelihood = np.empty(MAX_WINDOW)
     flat = log_odds.reshape(-1)
@@ -172,13 +242,13 @@ def integrate_depth(
                 if max(abs(fu - u), abs(fv - v)) > near:
                     continue
                 share = BEYOND_BORDER
-            reading = np.float64(depth[v, u])
-            if reading <= 0.0:
+            measured = np.float64(depth[v, u])
+            if measured <= 0.0:
                 continue
-            sigma = sensor_sigma(reading, sensor)
+            sigma = sensor_sigma(measured, sensor)
             spread = np.sqrt(sigma * sigma + voxel_size * voxel_size / 12.0)
             band = max(band_sigmas * sigma, 2.0 * voxel_size)
-            away = reading - z
+            away = measured - z
             if away < -band or (not mask[v, u] and away < band):
                 continue
             precision = (0.001 + 0.0012) * (0.001 + 0.0012) / ((0.001 + sigma) * (0.001 + sigma))
@@ -186,7 +256,7 @@ def integrate_depth(
                 delta[n, i] = free_log_odds
             else:
                 delta[n, i] = ray_window_update(
-                    x, y, z, reading, spread, T_object_camera, voxel_size, sensor[4], tables, flat, odds, likelihood
+                    x, y, z, measured, spread, T_object_camera, voxel_size, sensor[4], tables, flat, odds, likelihood
                 )
                 if frame < first_seen[b, i]:
                     first_seen[b, i] = frame
@@ -212,17 +282,15 @@ def sample_image(level, u, v, channel):
 
 
 @kernel
-def fuse_color(
-    numbers, start, stop, coords, voxel_size, T_camera_object, T_color_depth, depth_camera, color_camera,
-    depth, confidence, sensor, levels, color, weight,
-):  # fmt: skip
+def fuse_color(numbers, start, stop, cells, reading, T_camera_object):
     """Update the colour of cells near the measured surface in blocks ``numbers[start:stop]``.
 
-    `levels` is a pyramid of float32 RGB pictures, each half the size of the one before; a cell takes its
-    colour from the level whose pixels are just finer than the cell appears. `confidence` (h, w) float32
-    in the depth camera weighs viewing angle and depth edges.
+    `cells` are `ColorCells`, `reading` is a `ColorReading`. A cell takes its colour from the level of the pyramid whose
+    pixels are just finer than the cell appears.
     """
-    T, E = T_camera_object, T_color_depth
+    coords, voxel_size, color, weight = cells
+    E, depth_camera, color_camera, depth, confidence, sensor, levels = reading
+    T = T_camera_object
     for n in range(start, stop):
         b = numbers[n]
         for i in range(512):
@@ -238,9 +306,9 @@ def fuse_color(
             u, v = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
             if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0] or confidence[v, u] <= 0.0:
                 continue
-            reading = np.float64(depth[v, u])
-            reach = max(2.0 * sensor_sigma(reading, sensor), 1.5 * voxel_size)
-            if reading <= 0.0 or abs(reading - z) > reach:
+            measured = np.float64(depth[v, u])
+            reach = max(2.0 * sensor_sigma(measured, sensor), 1.5 * voxel_size)
+            if measured <= 0.0 or abs(measured - z) > reach:
                 continue
             cx = E[0, 0] * x + E[0, 1] * y + E[0, 2] * z + E[0, 3]
             cy = E[1, 0] * x + E[1, 1] * y + E[1, 2] * z + E[1, 3]

@@ -74,7 +74,7 @@ class CastBlocks(NamedTuple):
         (blocks, 729, 4) int8 planes of the cells, border cells included.
     """
 
-    tables: tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]
+    tables: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]
     skip: NDArray[np.uint8]
     corners: NDArray[np.uint8]
     plane: NDArray[np.int8]
