@@ -14,7 +14,7 @@ from threedvc.coding.depth_picture import DepthPicture, DepthSteps, decode_depth
 from threedvc.coding.poses import PoseCoder
 from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
-from threedvc.encoder.appearance.background_depth import DepthChoice, best_depths, measured_depths
+from threedvc.encoder.appearance.background_depth import CodedDepthMap, averaged_inverse_depth, cheapest_depth_map
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
@@ -239,19 +239,19 @@ def test_depths_are_averaged_beside_objects(rng: np.random.Generator) -> None:
         hidden[10:20, column : column + 8] = True
         depth[hidden] = 0.4
         frames.append((depth.astype(np.float32), hidden))
-    found = measured_depths(frames)
+    found = averaged_inverse_depth(frames)
     np.testing.assert_array_equal(found > 0, w > 0)
     np.testing.assert_allclose(found[w > 0], w[w > 0], rtol=0.01)
 
 
 def test_the_cheapest_coding_is_taken() -> None:
-    def cost(choice: DepthChoice) -> float:
+    def cost(choice: CodedDepthMap) -> float:
         model = choice.model(CAMERA, identity())
         return len(choice.payload) if model.cell_count else np.inf
 
     w = corner(box=True)
-    best = best_depths(w, CAMERA, cost)
+    best = cheapest_depth_map(w, CAMERA, cost)
     assert best is not None
     assert len(best.payload) < 120
-    assert best_depths(w, CAMERA, lambda _: np.inf) is None
-    assert best_depths(np.zeros_like(w), CAMERA, cost) is None
+    assert cheapest_depth_map(w, CAMERA, lambda _: np.inf) is None
+    assert cheapest_depth_map(np.zeros_like(w), CAMERA, cost) is None

@@ -496,11 +496,11 @@ def test_a_tracked_camera_that_only_trembles_stands_still(refine: bool) -> None:
     info = replace(scene("room").info, has_camera_poses=False, frame_count=len(frames))
     settings = config(motion=Motion.TRACK, sensor=Sensor.KINECT1, refine=refine)
     encoder, packets = encoded(ListSequence(frames, info), settings)
-    assert encoder.scene.at_rest(0)
+    assert encoder.scene.objects[0].at_rest
     assert not pose_headers(packets)
 
 
 def test_a_tracked_camera_that_moves_does_not_rest() -> None:
     encoder, packets = encoded(scene("room"), config(motion=Motion.TRACK))
-    assert not encoder.scene.at_rest(0)
+    assert not encoder.scene.objects[0].at_rest
     assert pose_headers(packets)

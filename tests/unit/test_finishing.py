@@ -28,8 +28,7 @@ from threedvc.config import (
     with_quality,
 )
 from threedvc.decoder.decoder import Decoder
-from threedvc.encoder.appearance.appearance_fit import finish
-from threedvc.encoder.appearance.color_field import LUMA
+from threedvc.encoder.appearance.appearance_fit import fit_appearance
 from threedvc.encoder.appearance.photometric_alignment import aligned_shift
 from threedvc.encoder.appearance.samples import Sampler
 from threedvc.encoder.fusion.surface_extraction import read_surface
@@ -227,7 +226,7 @@ def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
     sequence = scene("room", 14)
     encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
     list(encoder.packets(sequence))
-    fitted = finish(encoder.scene, sequence).colors
+    fitted = fit_appearance(encoder.scene, sequence).colors
     rig = sequence.info.rig
     for index in (2, 5, 9):
         frame, later = sequence.frames[index], sequence.frames[index + 4]
@@ -235,7 +234,7 @@ def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
         assert later.T_world_camera is not None
         pose, true = inverse(frame.T_world_camera), inverse(later.T_world_camera)
         sample = Sampler(rig, 10_000, 2).sample(frame, fitted, {0: pose}, identity())
-        luma = (sample.shown(fitted) @ LUMA).astype(np.float64)
+        luma = sample.luma(fitted)
         late = replace(frame, color=later.color)
         shift = identity()
         for _ in range(3):
@@ -269,7 +268,7 @@ def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
         flat = values.reshape(-1)
         flat[there[free]] = flat[positions[free]]
     with_hidden = read_surface(evidence, 2, smooth=True)
-    kept = finish(encoder.scene, sequence).surfaces[0].cells
+    kept = fit_appearance(encoder.scene, sequence).surfaces[0].cells
     known, hidden = ({tuple(cell) for cell in cells.tolist()} for cells in (front, behind[free]))
     read, left = ({tuple(cell) for cell in cells.tolist()} for cells in (with_hidden.cells, kept))
     assert left <= read
@@ -295,7 +294,7 @@ def test_what_is_seen_but_for_a_moment_is_not_hidden() -> None:
     read = read_surface(encoder.scene.objects[0].evidence, 2, smooth=True)
     late = read.first_seen == 39
     assert np.count_nonzero(late) > 100
-    kept = finish(encoder.scene, sequence).surfaces[0]
+    kept = fit_appearance(encoder.scene, sequence).surfaces[0]
     there = {tuple(cell) for cell in kept.cells.tolist()}
     assert np.mean([tuple(cell) in there for cell in read.cells[late].tolist()]) > 0.8
 

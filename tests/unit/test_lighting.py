@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from threedvc.arrays import Doubles
-from threedvc.encoder.appearance.lighting import LightEquations, epoch_frames, light_at, light_script, light_terms
+from threedvc.encoder.appearance.lighting import LightEquations, epoch_frames, light_at, light_terms, light_track
 
 ONE = np.array([0.25, 0, -0.125, 0, 0, 0.0625, 0, 0])
 OTHER = np.array([-0.25, 0.125, 0.125, 0, 0, 0, 0.0625, 0])
@@ -31,21 +31,21 @@ def test_the_light_of_samples_is_found() -> None:
 
 
 def test_a_light_that_stays_is_told_once() -> None:
-    script = light_script({8 * k: equations(ONE, k) for k in range(6)})
-    assert [first for first, _ in script] == [0]
-    np.testing.assert_array_equal(script[0][1], ONE)
+    track = light_track({8 * k: equations(ONE, k) for k in range(6)})
+    assert [first for first, _ in track] == [0]
+    np.testing.assert_array_equal(track[0][1], ONE)
 
 
 def test_changes_are_found_where_they_are() -> None:
     lights = [ONE, ONE, OTHER, OTHER, OTHER, ONE]
-    script = light_script({8 * k: equations(light, k) for k, light in enumerate(lights)})
-    assert [first for first, _ in script] == [0, 16, 40]
+    track = light_track({8 * k: equations(light, k) for k, light in enumerate(lights)})
+    assert [first for first, _ in track] == [0, 16, 40]
     for frame, light in [(0, ONE), (15, ONE), (16, OTHER), (39, OTHER), (40, ONE), (1000, ONE)]:
-        np.testing.assert_array_equal(light_at(script, frame), light)
+        np.testing.assert_array_equal(light_at(track, frame), light)
 
 
 def test_the_first_light_holds_before_its_frame() -> None:
-    np.testing.assert_array_equal(light_at(light_script({16: equations(OTHER, 1)}), 3), OTHER)
+    np.testing.assert_array_equal(light_at(light_track({16: equations(OTHER, 1)}), 3), OTHER)
 
 
 @pytest.mark.parametrize(("frames", "epoch"), [(1, 8), (150, 8), (240, 10), (300, 13)])

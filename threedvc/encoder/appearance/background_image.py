@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.coding.picture import decode_picture, encode_picture
 from threedvc.config import RenderConfig
 from threedvc.encoder.appearance.color_field import ColorField
+from threedvc.encoder.appearance.robust_mean import Observations, robust_mean
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose
@@ -19,14 +21,19 @@ from threedvc.render.hole_filling import fill_unknown
 from threedvc.render.ray_grid import RayGrid
 from threedvc.render.renderer import Renderer
 
-__all__ = ["PictureChoice", "background_picture"]
+__all__ = ["BackgroundImageCandidates", "averaged_background"]
 
 MARGIN_PX = 2
+"""About objects: outlines that are drawn are a pixel or two from those that are seen."""
 OUTLIER_LEVELS = 24.0
-LEAST_QUALITY, GREATEST_QUALITY = 4, 96
+"""Something that passes is further from the mean than this; the noise and the shades of a color are nearer."""
+MIN_WEIGHT = 1e-9
+"""Of a pixel that some frame shows; only saves from dividing by zero."""
+MIN_QUALITY, MAX_QUALITY = 4, 96
+"""Of AVIF, from 0 to 100; beyond them a picture is no longer one, or takes bytes for what cannot be seen."""
 
 
-class PictureChoice:
+class BackgroundImageCandidates:
     """A picture and its codings at different qualities, each made when it is first asked for.
 
     Parameters
@@ -47,7 +54,7 @@ class PictureChoice:
 
     def best(self, price: float) -> tuple[bytes, float]:
         """Return the payload whose squared error plus `price` for every byte is about least, and that sum."""
-        low, high = LEAST_QUALITY, GREATEST_QUALITY
+        low, high = MIN_QUALITY, MAX_QUALITY
         while high - low > 2:
             third = (high - low) // 3
             if self._cost(low + third, price) <= self._cost(high - third, price):
@@ -71,9 +78,9 @@ class PictureChoice:
         return self._made[key]
 
 
-def background_picture(
+def averaged_background(
     rig: CameraRig,
-    frames: Iterable[tuple[Frame, Mapping[int, Pose], NDArray[np.float32], NDArray[np.float32]]],
+    frames: Iterable[tuple[Frame, Mapping[int, Pose], Floats, Floats]],
     field: ColorField,
     threads: int,
 ) -> NDArray[np.uint8]:
@@ -94,26 +101,25 @@ def background_picture(
     -------
     (h, w, 3) uint8 RGB; what no frame shows is interpolated from around.
     """
-    camera = rig.color
-    rays, renderer = RayGrid(camera), Renderer(rig, RenderConfig(supersample=1, threads=threads))
-    total = np.zeros((camera.height, camera.width, 3))
-    weight = np.zeros((camera.height, camera.width, 1))
-    middle = np.zeros_like(total)
-    chosen = list(frames)
-    for again in (False, True):
-        total[:], weight[:] = 0, 0
-        for frame, poses, gain, offset in chosen:
-            moved = {number: compose(rig.T_color_depth, pose) for number, pose in poses.items()}
-            labels = renderer.cast(rays, field.models, moved)[1].reshape(camera.height, camera.width)
-            hidden = cv2.dilate((labels > 0).astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8))
-            color = (frame.color - offset) / gain
-            share = (hidden == 0)[..., None].astype(np.float64)
-            if again:
-                away = np.abs(color - middle).mean(axis=2, keepdims=True) / OUTLIER_LEVELS
-                share /= (1 + away**2) ** 2
-            total += share * color
-            weight += share
-        middle = total / np.maximum(weight, 1e-9)
-    value, known = middle.astype(np.float32), (weight[..., 0] > 0).astype(np.uint8)
+    rays, renderer = RayGrid(rig.color), Renderer(rig, RenderConfig(supersample=1, threads=threads))
+
+    def clear(poses: Mapping[int, Pose]) -> Mask:
+        """Return where no object is drawn (h, w), nor near."""
+        in_color = {number: compose(rig.T_color_depth, pose) for number, pose in poses.items()}
+        labels = renderer.cast(rays, field.models, in_color)[1].reshape(rig.color.height, rig.color.width)
+        near = cv2.dilate((labels > 0).astype(np.uint8), np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8))
+        return np.asarray(near == 0)
+
+    kept = [(frame.color, clear(poses), gain, offset) for frame, poses, gain, offset in frames]
+
+    def observations() -> Observations:
+        return (((color - offset) / gain, shows[..., None].astype(np.float64)) for color, shows, gain, offset in kept)
+
+    mean, weight = robust_mean(observations, _residual, MIN_WEIGHT)
+    value, known = mean.astype(np.float32), (weight[..., 0] > 0).astype(np.uint8)
     fill_unknown(value, known)
     return np.asarray(np.clip(np.rint(value), 0, 255), dtype=np.uint8)
+
+
+def _residual(color: Floats | Doubles, mean: Doubles) -> Doubles:
+    return np.asarray(np.abs(color - mean).mean(axis=2, keepdims=True) / OUTLIER_LEVELS)

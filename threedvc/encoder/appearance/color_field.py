@@ -11,29 +11,62 @@ map their depth. The two are repeated in turn.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles, Floats
 from threedvc.coding.relief import encode_relief
-from threedvc.encoder.appearance.lighting import LightScript
+from threedvc.encoder.appearance.lighting import LightTrack
 from threedvc.encoder.fusion.surface_extraction import Surface
-from threedvc.kernels.encoder.appearance import (
-    find_corners,
-)
+from threedvc.kernels.encoder.appearance import find_corners
 from threedvc.kernels.render.shading import find_normals
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 from threedvc.render.render_model import RenderModel
-from threedvc.units import LUMA_WEIGHTS
 
-__all__ = [
-    "ColorField",
-]
+__all__ = ["ColorField", "FieldObject"]
+
+MIN_COLOR, MAX_COLOR = -256, 511
+"""The renderer clips after gain and light: before, a colour may lie beyond 0 to 255 by as much again."""
 
 
-LUMA = np.array(LUMA_WEIGHTS, dtype=np.float32)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FieldObject:
+    """What a field is made of: an object's cells, and how the decoder will hold them.
+
+    Attributes
+    ----------
+    surface
+        The cells.
+    voxel_size_m
+        Edge of a cell.
+    texture_scale
+        Texels along an edge of a cell; 1: the cells themselves are coloured.
+    relief_bits
+        How finely it tells where the surface passes in a cell.
+    inferred
+        Whether its shape is inferred, not measured.
+    """
+
+    surface: Surface
+    voxel_size_m: float
+    texture_scale: int = 1
+    relief_bits: int = 0
+    inferred: bool = False
+
+    def model(self) -> DecodedModel:
+        """Return a decoded model with the cells and the relief, and texels coloured as their cells."""
+        surface, scale = self.surface, self.texture_scale
+        model = DecodedModel(self.voxel_size_m, scale, guessed=self.inferred, relief_bits=self.relief_bits)
+        model.apply(ModelUpdate.adding(surface.cells, surface.colors))
+        if self.relief_bits and len(surface.cells):
+            encode_relief(model, surface.crossings_of(model.untold_cells()[0]))
+        if model.texture is not None:
+            texels = model.bare_texels()
+            model.texture.paint(texels, model.color.reshape(-1, 3)[model.index.locate(texels // scale)])
+        return model
 
 
 class ColorField:
@@ -41,18 +74,10 @@ class ColorField:
 
     Parameters
     ----------
-    surfaces
-        Cells of each object, by number.
-    voxel_size_m
-        Edge of a cell of each object.
-    texture_scale
-        Texels along an edge of a cell; 1: the cells themselves are coloured.
+    objects
+        The objects, by number.
     threads
         Number of threads.
-    guessed
-        Numbers of the objects whose shape is a guess.
-    relief_bits
-        How finely the others tell where the surface passes in a cell.
 
     Attributes
     ----------
@@ -60,38 +85,29 @@ class ColorField:
         The objects in the form that rays walk through.
     values
         (n, 3) float32 RGB of the numbered cells; first the mean colours of the surfaces.
+    neighbors
+        (n, 6) int32 numbers of the cells that share a face with each; -1: none.
     lights
         The lights on objects, by number; none at first.
     """
 
-    def __init__(
-        self,
-        surfaces: Mapping[int, Surface],
-        voxel_size_m: Mapping[int, float],
-        texture_scale: Mapping[int, int],
-        threads: int,
-        guessed: frozenset[int] = frozenset(),
-        relief_bits: int = 0,
-    ) -> None:
+    def __init__(self, objects: Mapping[int, FieldObject], threads: int) -> None:
         self.models: dict[int, RenderModel] = {}
         self._numbers: dict[int, NDArray[np.int32]] = {}
-        values, neighbours, first = [], [], 0
-        for number, surface in surfaces.items():
-            is_guess = number in guessed
-            model = _model_of(
-                surface, voxel_size_m[number], texture_scale[number], is_guess, 0 if is_guess else relief_bits
-            )
+        values, neighbors, first = [], [], 0
+        for number, item in objects.items():
+            model = item.model()
             self.models[number] = RenderModel(model)
             self.models[number].refresh(threads)
             numbers, cells, own = _numbered(model)
             values.append(own)
-            neighbours.append(_neighbours(model, cells, numbers, first))
+            neighbors.append(_neighbors(model, cells, numbers, first))
             numbers[numbers >= 0] += first
             self._numbers[number] = numbers
             first += len(own)
         self.values: Floats = np.concatenate(values) if values else np.zeros((0, 3), np.float32)
-        self.lights: dict[int, LightScript] = {}
-        self.neighbours = np.concatenate(neighbours) if neighbours else np.zeros((0, 6), np.int32)
+        self.lights: dict[int, LightTrack] = {}
+        self.neighbors = np.concatenate(neighbors) if neighbors else np.zeros((0, 6), np.int32)
 
     def corners(self, number: int, points: Doubles) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         """Return the numbers and weights (n, 8) of the cells around points (n, 3) of an object, in metres."""
@@ -151,21 +167,7 @@ class ColorField:
 
 
 def _rounded(values: NDArray[np.floating]) -> NDArray[np.int16]:
-    return np.asarray(np.clip(np.rint(values), -256, 511), dtype=np.int16)
-
-
-def _model_of(
-    surface: Surface, voxel_size_m: float, texture_scale: int, guessed: bool, relief_bits: int
-) -> DecodedModel:
-    """Return a decoded model with the cells and the relief of a surface, and texels coloured as their cells."""
-    model = DecodedModel(voxel_size_m, texture_scale, guessed=guessed, relief_bits=relief_bits)
-    model.apply(ModelUpdate.adding(surface.cells, surface.colors))
-    if relief_bits and len(surface.cells):
-        encode_relief(model, surface.crossings_of(model.untold_cells()[0]))
-    if model.texture is not None:
-        texels = model.bare_texels()
-        model.texture.paint(texels, model.color.reshape(-1, 3)[model.index.locate(texels // texture_scale)])
-    return model
+    return np.asarray(np.clip(np.rint(values), MIN_COLOR, MAX_COLOR), dtype=np.int16)
 
 
 def _numbered(model: DecodedModel) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats]:
@@ -178,16 +180,16 @@ def _numbered(model: DecodedModel) -> tuple[NDArray[np.int32], NDArray[np.int32]
     return numbers, cells, colors.astype(np.float32)
 
 
-def _neighbours(
+def _neighbors(
     model: DecodedModel, cells: NDArray[np.int32], numbers: NDArray[np.int32], first: int
 ) -> NDArray[np.int32]:
     """Return the numbers (n, 6) of the cells that share a face with each cell, counted from `first`; -1: none."""
     index = model.index if model.texture is None else model.texture.index
-    neighbours = np.empty((len(cells), 6), dtype=np.int32)
+    neighbors = np.empty((len(cells), 6), dtype=np.int32)
     for k in range(6):
         step = np.zeros(3, dtype=np.int32)
         step[k // 2] = 1 - 2 * (k % 2)
         positions = index.locate(cells + step)
         found = np.where(positions >= 0, numbers[positions], -1)
-        neighbours[:, k] = np.where(found >= 0, found + first, -1)
-    return neighbours
+        neighbors[:, k] = np.where(found >= 0, found + first, -1)
+    return neighbors

@@ -11,26 +11,33 @@ from numpy.typing import NDArray
 from threedvc.arrays import Doubles, Floats
 from threedvc.coding.gains import NEUTRAL, apply_gain, quantised_gain
 from threedvc.encoder.appearance.color_field import ColorField
-from threedvc.encoder.appearance.lighting import LightEquations, light_script, light_terms
+from threedvc.encoder.appearance.lighting import LightEquations, light_terms, light_track
 from threedvc.encoder.appearance.photometric_alignment import MIN_POINTS
 from threedvc.encoder.appearance.samples import FrameSamples, JoinedSamples
-from threedvc.kernels.encoder.appearance import (
-    gather_colors,
-    gather_neighbours,
-    scatter_colors,
-)
+from threedvc.kernels.encoder.appearance import gather_colors, gather_neighbours, scatter_colors
 from threedvc.parallel import for_ranges
 
-__all__ = ["fit_colors", "fit_gain", "fit_light"]
+__all__ = ["solve_colors", "solve_gain", "solve_light"]
 
 SMOOTHNESS = 0.3
+"""Weight of the difference from each neighbour against a sample of weight one: decides where hardly any sample does."""
 ANCHOR = 1e-3
-STEPS = 12
-PARTS = 4
+"""Weight of the colour so far: decides only where neither a sample nor a neighbour does."""
+CONJUGATE_STEPS = 12
+"""Steps of conjugate gradients each time; colours and gains in turn converge slower than these do."""
+MIN_CURVATURE = 1e-20
+"""Keeps steps finite where nothing is left to be fitted."""
+SUM_PARTS = 4
+"""In which samples are summed up, whatever the number of threads; each takes as much memory as all colours."""
 GAIN_SHRINK = 4.0
+"""Variance, in squared levels, that draws a gain to 1: on an even picture nothing tells it from an offset."""
+MEDIANS_OF_OUTLIER = 4.0
+"""Squared error, in medians of all samples, at which one counts a quarter for the gain."""
+GAIN_ROUNDS = 3
+"""How often samples are weighed anew by what the gain so far leaves of their error."""
 
 
-def fit_light(
+def solve_light(
     colors: ColorField, number: int, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]], epoch: int
 ) -> None:
     """Set the lights on an object to those with which its colours fit the samples and gains best.
@@ -45,31 +52,29 @@ def fit_light(
         gain, offset = apply_gain(units)
         values = np.empty((len(here), 3), dtype=np.float32)
         gather_colors(0, len(here), sample.numbers, sample.weights, colors.values, values)
-        base = (values[here] * gain).astype(np.float64)
-        rest = sample.observed[here] - offset - base
-        equations, first = (
-            LightEquations.of(light_terms(sample.normals[here]), base, rest),
-            sample.frame // epoch * epoch,
-        )
+        unlit = (values[here] * gain).astype(np.float64)
+        residual = sample.observed[here] - offset - unlit
+        equations = LightEquations.of(light_terms(sample.normals[here]), unlit, residual)
+        first = sample.frame // epoch * epoch
         epochs[first] = epochs[first] + equations if first in epochs else equations
     if epochs:
-        colors.lights[number] = light_script(epochs)
+        colors.lights[number] = light_track(epochs)
 
 
 class _NormalEquations:
     """The symmetric system of the least squares, applied without being formed."""
 
-    def __init__(self, samples: JoinedSamples, neighbours: NDArray[np.int32], count: int, threads: int) -> None:
-        self._samples, self._neighbours, self._count, self._threads = samples, neighbours, count, threads
-        self._bounds = np.linspace(0, len(samples.numbers), PARTS + 1).astype(int)
+    def __init__(self, samples: JoinedSamples, neighbors: NDArray[np.int32], count: int, threads: int) -> None:
+        self._samples, self._neighbors, self._count, self._threads = samples, neighbors, count, threads
+        self._bounds = np.linspace(0, len(samples.numbers), SUM_PARTS + 1).astype(int)
         self._rows = np.empty((len(samples.numbers), 3), dtype=np.float32)
 
-    def spread(self, rows: Floats, power: int = 1) -> Floats:
+    def scatter_add(self, rows: Floats, power: int = 1) -> Floats:
         """Return the sums (cells, 3) of rows (n, 3) over the cells that they are interpolated from.
 
         In a fixed number of parts, so that the result does not depend on the number of threads.
         """
-        sums = np.zeros((PARTS, self._count, 3), dtype=np.float32)
+        sums = np.zeros((SUM_PARTS, self._count, 3), dtype=np.float32)
 
         def part_range(start: int, stop: int) -> None:
             for part in range(start, stop):
@@ -78,7 +83,7 @@ class _NormalEquations:
                     power, sums[part],
                 )  # fmt: skip
 
-        for_ranges(part_range, PARTS, self._threads)
+        for_ranges(part_range, SUM_PARTS, self._threads)
         return np.asarray(sums.sum(axis=0), dtype=np.float32)
 
     def apply(self, values: Floats) -> Floats:
@@ -90,32 +95,32 @@ class _NormalEquations:
             rows[start:stop] *= samples.gain[start:stop] ** 2
 
         for_ranges(row_range, len(rows), self._threads)
-        result = self.spread(rows) + np.float32(ANCHOR) * values
-        gather_neighbours(self._neighbours, values, np.float32(SMOOTHNESS), result)
+        result = self.scatter_add(rows) + np.float32(ANCHOR) * values
+        gather_neighbours(self._neighbors, values, np.float32(SMOOTHNESS), result)
         return result
 
     def diagonal(self) -> Floats:
         """Return the diagonal (cells, 3)."""
-        degrees = np.count_nonzero(self._neighbours >= 0, axis=1)[:, None]
+        degrees = np.count_nonzero(self._neighbors >= 0, axis=1)[:, None]
         smoothness = np.float32(SMOOTHNESS) * degrees + np.float32(ANCHOR)
-        return np.asarray(self.spread(np.square(self._samples.gain), 2) + smoothness, dtype=np.float32)
+        return np.asarray(self.scatter_add(np.square(self._samples.gain), 2) + smoothness, dtype=np.float32)
 
 
-def fit_colors(colors: ColorField, samples: JoinedSamples, threads: int) -> None:
+def solve_colors(colors: ColorField, samples: JoinedSamples, threads: int) -> None:
     """Set the colours of a field to those whose interpolation fits the samples best."""
-    system = _NormalEquations(samples, colors.neighbours, len(colors.values), threads)
+    system = _NormalEquations(samples, colors.neighbors, len(colors.values), threads)
     values, scale = colors.values.copy(), np.asarray(1 / system.diagonal(), dtype=np.float32)
-    residual = system.spread(samples.gain * samples.wanted) + np.float32(ANCHOR) * values - system.apply(values)
-    along = scale * residual
-    slope = _dot(residual, along)
-    for _ in range(STEPS):
-        product = system.apply(along)
-        step = (slope / np.maximum(_dot(along, product), 1e-20)).astype(np.float32)
-        values += step * along
+    residual = system.scatter_add(samples.gain * samples.wanted) + np.float32(ANCHOR) * values - system.apply(values)
+    direction = scale * residual
+    slope = _dot(residual, direction)
+    for _ in range(CONJUGATE_STEPS):
+        product = system.apply(direction)
+        step = (slope / np.maximum(_dot(direction, product), MIN_CURVATURE)).astype(np.float32)
+        values += step * direction
         residual -= step * product
-        ahead = scale * residual
-        before, slope = slope, _dot(residual, ahead)
-        along = ahead + (slope / np.maximum(before, 1e-20)).astype(np.float32) * along
+        descent = scale * residual
+        before, slope = slope, _dot(residual, descent)
+        direction = descent + (slope / np.maximum(before, MIN_CURVATURE)).astype(np.float32) * direction
     colors.values = values
 
 
@@ -123,7 +128,7 @@ def _dot(a: Floats, b: Floats) -> Doubles:
     return np.asarray(np.einsum("ij,ij->j", a, b, dtype=np.float64))
 
 
-def fit_gain(sample: FrameSamples, shown: Floats, grey: bool) -> NDArray[np.int64]:
+def solve_gain(sample: FrameSamples, shown: Floats, grey: bool) -> NDArray[np.int64]:
     """Return the gain (3, 2) with which shown colours (n, 3) come nearest to the observed ones."""
     if len(shown) < MIN_POINTS:
         return NEUTRAL.copy()
@@ -134,12 +139,12 @@ def fit_gain(sample: FrameSamples, shown: Floats, grey: bool) -> NDArray[np.int6
         values = np.repeat(values.mean(axis=1, keepdims=True), 3, axis=1)
     weight = np.ones(len(values))
     gain, offset = np.ones(3), np.zeros(3)
-    for _ in range(3):
+    for _ in range(GAIN_ROUNDS):
         total = weight.sum()
         mean, wanted = weight @ values / total, weight @ observed / total
-        spread = weight @ (values - mean) ** 2 / total
-        gain = (weight @ ((values - mean) * (observed - wanted)) / total + GAIN_SHRINK) / (spread + GAIN_SHRINK)
+        variance = weight @ (values - mean) ** 2 / total
+        gain = (weight @ ((values - mean) * (observed - wanted)) / total + GAIN_SHRINK) / (variance + GAIN_SHRINK)
         offset = wanted - gain * mean
         error = ((values * gain + offset - observed) ** 2).mean(axis=1)
-        weight = 1 / (1 + error / (4 * np.median(error) + 1)) ** 2
+        weight = 1 / (1 + error / (MEDIANS_OF_OUTLIER * np.median(error) + 1)) ** 2
     return quantised_gain(gain, offset)

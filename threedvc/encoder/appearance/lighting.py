@@ -20,14 +20,17 @@ from threedvc.arrays import Doubles
 from threedvc.coding.light import pack_light, unpack_light
 from threedvc.kernels.render.shading import LIGHT_TERMS, light_bases
 
-__all__ = ["LightEquations", "LightScript", "epoch_frames", "light_at", "light_script", "light_terms"]
+__all__ = ["LightEquations", "LightTrack", "epoch_frames", "light_at", "light_terms", "light_track"]
 
-LightScript: TypeAlias = tuple[tuple[int, Doubles], ...]
+LightTrack: TypeAlias = tuple[tuple[int, Doubles], ...]
 """First frame and factors (8,) of each light, in order; the first one also holds before its frame."""
 
 LIGHT_PRIOR = 1e5
-EPOCHS = 24
-LEAST_EPOCH_FRAMES = 8
+"""As if two samples in middle grey (3 times 128 squared each) said of every factor that it is 0."""
+MAX_EPOCHS = 24
+"""Of a sequence; neighbours are joined where that costs little, so more would only take time."""
+MIN_EPOCH_FRAMES = 8
+"""Fewer show too few normals to tell eight factors."""
 WORTHWHILE_CHANGE = 0.02
 """Share of an object's squared error that a change of its light must save, for some sixteen bytes."""
 
@@ -54,12 +57,12 @@ class LightEquations(NamedTuple):
         return LightEquations(self.matrix + other.matrix, self.side + other.side, self.square + other.square)
 
     @classmethod
-    def of(cls, terms: Doubles, base: Doubles, rest: Doubles) -> LightEquations:
-        """Return the equations of samples whose `rest` (n, 3) ``terms @ factors`` times `base` (n, 3) shall explain."""
+    def of(cls, terms: Doubles, unlit: Doubles, residual: Doubles) -> LightEquations:
+        """Return the equations of samples whose `residual` (n, 3) ``terms @ factors`` times `unlit` (n, 3) explains."""
         return cls(
-            terms.T @ (terms * (base**2).sum(axis=1)[:, None]),
-            terms.T @ (base * rest).sum(axis=1),
-            float((rest**2).sum()),
+            terms.T @ (terms * (unlit**2).sum(axis=1)[:, None]),
+            terms.T @ (unlit * residual).sum(axis=1),
+            float((residual**2).sum()),
         )
 
     def solved(self) -> Doubles:
@@ -79,17 +82,17 @@ def light_terms(normals: NDArray[np.floating]) -> Doubles:
     return terms
 
 
-def light_at(script: LightScript, frame: int) -> Doubles:
+def light_at(track: LightTrack, frame: int) -> Doubles:
     """Return the factors (8,) of the light in a frame."""
-    return next((factors for first, factors in reversed(script) if first <= frame), script[0][1])
+    return next((factors for first, factors in reversed(track) if first <= frame), track[0][1])
 
 
 def epoch_frames(frames: int) -> int:
     """Return how many of the frames of a sequence are an epoch."""
-    return max(-(-frames // EPOCHS), LEAST_EPOCH_FRAMES)
+    return max(-(-frames // MAX_EPOCHS), MIN_EPOCH_FRAMES)
 
 
-def light_script(epochs: Mapping[int, LightEquations]) -> LightScript:
+def light_track(epochs: Mapping[int, LightEquations]) -> LightTrack:
     """Return the lights, as the stream can tell them, of epochs by their first frames, which rise."""
     parts = list(epochs.items())
     whole = parts[0][1]

@@ -17,18 +17,21 @@ from threedvc.encoder.appearance.lighting import light_at, light_terms
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse
-from threedvc.kernels.encoder.appearance import (
-    gather_colors,
-)
+from threedvc.kernels.encoder.appearance import gather_colors
 from threedvc.kernels.render.shading import LEAST_LIGHT
 from threedvc.render.ray_grid import RayGrid
 from threedvc.render.renderer import Renderer
+from threedvc.units import LUMA_WEIGHTS
 
-__all__ = ["FrameSamples", "JoinedSamples", "Sampler", "joined", "shown_shares"]
+__all__ = ["FrameSamples", "JoinedSamples", "Sampler", "joined", "rays_at", "shown_shares"]
 
+LUMA = np.array(LUMA_WEIGHTS, dtype=np.float32)
 PHASES = ((0, 0), (1, 2), (3, 1), (2, 3))
-SPREADS = 3
+"""Where the grids of successive frames begin: each in a row and a column of its own."""
+SMOOTHING_ROUNDS = 3
+"""How often shares are averaged with the neighbours': they are too few to count alone."""
 OUTLIER_LEVELS = 50.0
+"""Root mean squared error of a sample at which it counts half: far above noise, below the contrast of an outline."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,12 +68,21 @@ class FrameSamples:
         gather_colors(0, len(shown), self.numbers, self.weights, field.values, shown)
         return shown * self.lit(field)[:, None]
 
+    def luma(self, field: ColorField) -> Doubles:
+        """Return the luma (n,) without gain."""
+        return (self.shown(field) @ LUMA).astype(np.float64)
+
+    def squared_error(self, shown: Floats, units: NDArray[np.int64]) -> float:
+        """Return the mean squared error of colours (n, 3) as `shown`, with units (3, 2) of a gain."""
+        gain, offset = apply_gain(units)
+        return float(np.mean((np.clip(shown * gain + offset, 0, 255) - self.observed) ** 2))
+
     def lit(self, field: ColorField) -> Floats:
         """Return the light (n,) on the samples."""
         light = np.ones(len(self.labels), dtype=np.float32)
-        for number, script in field.lights.items():
+        for number, track in field.lights.items():
             here = self.labels == number
-            light[here] += (light_terms(self.normals[here]) @ light_at(script, self.frame)).astype(np.float32)
+            light[here] += (light_terms(self.normals[here]) @ light_at(track, self.frame)).astype(np.float32)
         return np.asarray(np.maximum(light, np.float32(LEAST_LIGHT)))
 
 
@@ -106,16 +118,15 @@ class Sampler:
         """Return the samples of a frame whose rays meet a coloured cell; `poses` are T_camera_object."""
         x, y, rays = self._grids[frame.index % len(self._grids)]
         T_color_camera = compose(self._rig.T_color_depth, T_shifted_camera)
-        moved = {number: compose(T_color_camera, poses[number]) for number in poses}
-        met = self._renderer.cast(rays, field.models, moved)
-        depth, labels = self._renderer.cast_guessed(rays, field.models, moved, *met)
+        in_color = {number: compose(T_color_camera, poses[number]) for number in poses}
+        met = self._renderer.cast(rays, field.models, in_color)
+        depth, labels = self._renderer.cast_guessed(rays, field.models, in_color, *met)
         count = len(depth)
-        points = np.concatenate([rays.slopes, np.ones((count, 1))], axis=1) * depth[:, None].astype(np.float64)
+        points, normals = rays_at(rays.slopes, depth), np.zeros((count, 3))
         numbers, weights = np.zeros((count, 8), np.int32), np.zeros((count, 8), np.uint8)
-        normals = np.zeros((count, 3))
-        for number in moved:
+        for number, T_color_object in in_color.items():
             here = np.flatnonzero((labels == number) & (depth > 0))
-            T = inverse(moved[number])
+            T = inverse(T_color_object)
             points[here] = points[here] @ T[:3, :3].T + T[:3, 3]
             if number:
                 R = (inverse(poses[0]) @ poses[number])[:3, :3] if 0 in poses else poses[number][:3, :3]
@@ -131,6 +142,11 @@ class Sampler:
             weights=weights[usable],
             observed=frame.color[y :: self._stride, x :: self._stride].reshape(-1, 3)[usable],
         )
+
+
+def rays_at(slopes: Doubles, depth: Floats | Doubles) -> Doubles:
+    """Return the points (n, 3) in the camera's frame where rays of slopes (n, 2) have depths (n,)."""
+    return np.concatenate([slopes, np.ones((len(depth), 1))], axis=1) * depth[:, None].astype(np.float64)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -152,9 +168,9 @@ def shown_shares(colors: ColorField, samples: Iterable[FrameSamples]) -> Floats:
     for sample in samples:
         weights = sample.weights / np.maximum(sample.weights.sum(axis=1, dtype=np.float64), 1)[:, None]
         shares += np.bincount(sample.numbers.ravel(), weights.ravel(), len(shares))
-    count = 1 + np.count_nonzero(colors.neighbours >= 0, axis=1)
-    for _ in range(SPREADS):
-        shares = (shares + np.append(shares, 0)[colors.neighbours].sum(axis=1)) / count
+    count = 1 + np.count_nonzero(colors.neighbors >= 0, axis=1)
+    for _ in range(SMOOTHING_ROUNDS):
+        shares = (shares + np.append(shares, 0)[colors.neighbors].sum(axis=1)) / count
     return shares.astype(np.float32)
 
 

@@ -23,8 +23,8 @@ from threedvc.coding.relief import encode_relief
 from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig, PoseConfig, RenderConfig
-from threedvc.encoder.appearance.appearance_fit import Finish
-from threedvc.encoder.appearance.background_depth import RELIEF_BITS, DepthChoice
+from threedvc.encoder.appearance.appearance_fit import FittedAppearance
+from threedvc.encoder.appearance.background_depth import RELIEF_BITS, CodedDepthMap
 from threedvc.encoder.appearance.lighting import light_at
 from threedvc.encoder.fusion.surface_extraction import Surface, in_regions, read_surface
 from threedvc.encoder.rate.model_updates import changes, first_sights
@@ -148,7 +148,7 @@ class Emitter:
         self,
         scene: Scene,
         config: EncoderConfig,
-        finished: Finish | None = None,
+        finished: FittedAppearance | None = None,
         picture_step: float | None = None,
         filters: PictureFilter | None = None,
         videos: Sequence[Packet] = (),
@@ -158,8 +158,8 @@ class Emitter:
         sensors = scene.info.each_sensor
         self._gains = [GainCoder(sensor.grey) for sensor in sensors]
         self._guessed: dict[int, SceneObject] = {}
-        if finished is not None and finished.guess is not None:
-            number, voxel_size_m = finished.guess
+        if finished is not None and finished.inferred is not None:
+            number, voxel_size_m = finished.inferred
             self._guessed[number] = SceneObject(number, voxel_size_m, None)
             self._guessed[number].born = int(finished.surfaces[number].first_seen.min())
         self._steps = pose_steps(scene, config.pose)
@@ -177,7 +177,7 @@ class Emitter:
             self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
             self._bucket.take(stream_bytes(self.head()))
         self._backdrop = self._worthwhile_backdrop(picture_step or config.color.luma_step)
-        self._depths: DepthChoice | None = None
+        self._depths: CodedDepthMap | None = None
         if self._backdrop is not None and finished is not None:
             self._depths = finished.depths
 

@@ -21,6 +21,6 @@ def surface_budget(state: Reconstruction) -> float | None:
     Before a camera at rest they are not: a picture stands for the background.
     """
     budget = stream_budget(state)
-    if budget is None or state.config.voxel_size_m is not None or state.scene.at_rest(0):
+    if budget is None or state.config.voxel_size_m is not None or state.scene.objects[0].at_rest:
         return None
     return surface_room(len(state.reports), budget)

@@ -10,7 +10,7 @@ from math import inf
 import numpy as np
 
 from threedvc.config import EncoderConfig, with_step
-from threedvc.encoder.appearance.appearance_fit import trial_error
+from threedvc.encoder.appearance.rate_distortion import rate_distortion_at
 from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.pipeline.budget import stream_budget, surface_budget
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
@@ -74,7 +74,7 @@ def with_best_cells(state: Reconstruction, fusion: FusionPass, shifts: Sequence[
         scene = Scene(state.info, config, poses, state.scene.division)
         for frame in some:
             scene.add(frame)
-        return trial_error(scene, some, shifts and shifts[::step], budget)
+        return rate_distortion_at(scene, some, shifts and shifts[::step], budget)
 
     factor = best_cells(tried)
     return state if factor == 1 else _with_cells(state, fusion, factor)

@@ -13,7 +13,7 @@ from typing import cast
 
 from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.config import DepthVideo, EncoderConfig
-from threedvc.encoder.appearance.appearance_fit import finish
+from threedvc.encoder.appearance.appearance_fit import fit_appearance
 from threedvc.encoder.packetizer.packetizer import Emitter
 from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass, Reconstruction, fuse_frames
 from threedvc.encoder.pipeline.offline_passes import check_regions_of_interest, check_surfaces, find_objects, improve
@@ -109,7 +109,7 @@ class Encoder:
         if not self.state.has_depth:
             return self._without_fit()
         self.state, shifts = improve(self.state, fusion)
-        fitted = finish(self.scene, fusion.frames, shifts)
+        fitted = fit_appearance(self.scene, fusion.frames, shifts)
         return rated_stream(StreamBuilder(self.state, fitted, self._batch_frames), fusion.frames)
 
     def _in_one_pass(self, frames: Iterable[Frame], reporter: FrameReporter) -> list[Packet]:

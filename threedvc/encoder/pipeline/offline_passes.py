@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode
-from threedvc.encoder.appearance.appearance_fit import align, align_pictures, trial_error
+from threedvc.encoder.appearance.appearance_fit import align_pictures, align_poses
+from threedvc.encoder.appearance.rate_distortion import rate_distortion_at
 from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.pipeline.budget import surface_budget
 from threedvc.encoder.pipeline.cell_choice import (
@@ -82,7 +83,7 @@ def improve(state: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, 
         state = _with_extrinsics(state, fusion)
         state = _with_color_calibration(state, fusion)
         state = _with_closed_loops(state, fusion)
-        if state.config.appearance.rounds and any(map(state.scene.may_move, state.scene.objects)):
+        if state.config.appearance.rounds and any(item.may_move for item in state.scene.objects.values()):
             state, shifts = _with_photometric_poses(state, fusion)
         state = with_best_cells(state, fusion, shifts)
     return with_relief_chosen(state), shifts
@@ -208,7 +209,7 @@ def _tracked_anew(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
 def _with_closed_loops(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
     """Take the drift out of a tracked camera's path, if that makes the model fit the frames better."""
     scene, frames = state.scene, fusion.frames
-    if not scene.may_move(0) or all(at is None or at.status == "known" for at in scene.objects[0].found):
+    if not scene.objects[0].may_move or all(at is None or at.status == "known" for at in scene.objects[0].found):
         return state
     closed_path = closed_loops(scene, frames)
     if closed_path is None:
@@ -226,8 +227,8 @@ def _with_photometric_poses(state: Reconstruction, fusion: FusionPass) -> tuple[
     better for it.
     """
     rounds = state.config.appearance.rounds
-    common = fusion.fuse_at(state, align(state.scene, fusion.frames, rounds))
-    if not common.scene.may_move(0):
+    common = fusion.fuse_at(state, align_poses(state.scene, fusion.frames, rounds))
+    if not common.scene.objects[0].may_move:
         return common, None
     apart, error, common_error = _with_poses_of_depth(common, fusion)
     shifts = _shifts_between(common.scene, apart.scene)
@@ -265,5 +266,5 @@ def _is_better_apart(common: Reconstruction, apart: Reconstruction, shifts: Sequ
     """Tell whether shifts, about right as yet, give better pictures than poses that serve colour and depth."""
     budget = surface_budget(apart) or surface_bytes(common.scene, common.config.color.luma_step)
     with_shifts = max(budget - SHIFT_BYTES * len(shifts), MIN_SURFACE_SHARE * budget)
-    error = trial_error(apart.scene, fusion.frames, shifts, with_shifts)
-    return error < trial_error(common.scene, fusion.frames, None, budget)
+    error = rate_distortion_at(apart.scene, fusion.frames, shifts, with_shifts)
+    return error < rate_distortion_at(common.scene, fusion.frames, None, budget)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from threedvc.config import EncoderConfig
-from threedvc.encoder.appearance.appearance_fit import Finish
+from threedvc.encoder.appearance.appearance_fit import FittedAppearance
 from threedvc.encoder.packetizer.packetizer import Emitter
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
 from threedvc.errors import SequenceError
@@ -39,7 +39,7 @@ class StreamChoices:
     videos: Sequence[Packet] = ()
 
 
-def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: Finish | None = None) -> Emitter:
+def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: FittedAppearance | None = None) -> Emitter:
     """Return what writes the packets of the frames taken in.
 
     Raises
@@ -86,7 +86,7 @@ class StreamBuilder:
     """
 
     state: Reconstruction
-    fitted: Finish | None
+    fitted: FittedAppearance | None
     batch_frames: int
 
     def build(self, choices: StreamChoices) -> list[Packet]:

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""How good pictures of a scene would be at a number of bytes, as far as a quick fit can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from threedvc.arrays import Floats
+from threedvc.config import with_step
+from threedvc.encoder.appearance.color_fit import fit_colors, log_color_error
+from threedvc.encoder.appearance.fit_state import FitState
+from threedvc.encoder.appearance.fitted_surfaces import fitted_surfaces
+from threedvc.encoder.rate.rate_control import DEPTH_SHARE, error_at
+from threedvc.encoder.rate.trial_coding import color_settings, one_shot
+from threedvc.encoder.reconstruction.depth_consistency import misfit_frames
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.sequence import FrameSequence
+from threedvc.geometry.pose import Pose
+from threedvc.metrics.depth_errors import mean_misfit
+
+__all__ = ["rate_distortion_at", "weighed_misfit"]
+
+TRIAL_SAMPLES = 500_000
+"""A quarter of those of the fit that counts: only one error is held against another."""
+TRIAL_STEPS = (40.0, 24.0, 14.0, 8.0)
+"""Steps of luma between which the error is interpolated, each about 0.6 of the one before."""
+MIN_MISFIT = 1e-4
+"""Added before the logarithm is taken, so that no misfit at all is not infinitely good."""
+
+
+def rate_distortion_at(
+    scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None, budget_bytes: float
+) -> float:
+    """Return about how large the error of pictures would be if surfaces took a number of bytes.
+
+    Returns
+    -------
+    float
+        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `mean_misfit`.
+    """
+    state = FitState(scene, frames, shifts, TRIAL_SAMPLES)
+    fit_colors(state)
+    sizes, errors = zip(*(_coded(state, step) for step in TRIAL_STEPS), strict=True)
+    return error_at(budget_bytes, sizes, errors) + weighed_misfit(_depth_misfit(state))
+
+
+def weighed_misfit(misfit: float) -> float:
+    """Return a depth's `mean_misfit` as it counts beside the logarithm of the squared error of colours."""
+    return DEPTH_SHARE * float(np.log(misfit + MIN_MISFIT))
+
+
+def _coded(state: FitState, luma_step: float) -> tuple[int, float]:
+    """Return how many bytes the surfaces take with colours of a luma step, and `log_color_error` with these."""
+    settings = color_settings(with_step(luma_step), state.grey)
+    fitted, total = state.colors.values.copy(), 0
+    for number, surface in fitted_surfaces(state).items():
+        model = state.colors.models[number].model
+        size, decoded = one_shot(surface, model.voxel_size_m, model.relief_bits, settings)
+        state.colors.recolor(number, *decoded.cells())
+        total += size
+    error = log_color_error(state)
+    state.colors.values = fitted
+    return total, error
+
+
+def _depth_misfit(state: FitState) -> float:
+    """Return the `mean_misfit` of what is drawn."""
+
+    def drawn_and_measured(frame: int) -> tuple[Floats, Floats]:
+        caster = state.depth_caster(frame)
+        depth, _ = caster.cast(state.colors.models, state.poses_in(frame))
+        return depth, caster.measured(state.measured(frame))
+
+    return mean_misfit(map(drawn_and_measured, misfit_frames(state.frames)))
