@@ -10,14 +10,12 @@ without an error. Nothing is made or removed before the first frame comes.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -28,21 +26,17 @@ from numpy.typing import NDArray
 
 from threedvc.errors import ConfigError, OutputError, SequenceError, ThreedvcError
 from threedvc.formats.outputs import locked_folder
-from threedvc.formats.sinks.poses import pose_lines
+from threedvc.formats.sinks.sidecars import INTRINSICS, SIDECARS, WrittenFrame, intrinsics_text, sidecar_texts
 from threedvc.formats.sources.association import PICTURE_SUFFIXES
 from threedvc.formats.sources.files.text import read_json
-from threedvc.formats.sources.files.timestamps import regular_stamp
 from threedvc.frames.frame import Frame, SequenceInfo
-from threedvc.geometry.camera import Camera
-from threedvc.geometry.pose import Pose, inverse
+from threedvc.geometry.pose import Pose
 from threedvc.parallel import default_threads
 
 __all__ = ["DECODE", "PARTS", "SYNTH", "PlainSink", "sensor_folder"]
 
 PARTS = frozenset({"color", "depth", "labels"})
 FOLDERS = {"color": "color", "depth": "depth", "labels": "masks"}
-INTRINSICS = "intrinsics.json"
-SIDECARS = ("poses.txt", "object_poses.json", "timestamps.txt")
 OWN_PICTURE = re.compile(r"\d{6,}\.png(\.part)?")
 DECODE, SYNTH = "3dvc decode", "3dvc synth"
 """Commands that write recordings; 0.1.0 called both 3dvc, so that it is not known which of them wrote such a folder."""
@@ -54,17 +48,6 @@ PENDING_PER_THREAD = 4
 def sensor_folder(folder: Path, sensor: int) -> Path:
     """Return where the frames of one of several sensors are written."""
     return folder / f"sensor{sensor}"
-
-
-@dataclass(frozen=True, eq=False)
-class _Written:
-    """What the text files say of one written frame."""
-
-    index: int
-    timestamp_ns: int
-    color_timestamp_ns: int | None
-    T_world_camera: Pose | None
-    T_camera_object: Mapping[int, Pose]
 
 
 class PlainSink:
@@ -116,7 +99,7 @@ class PlainSink:
         self._info = info
         self._what, self._mounted = frozenset(what), mounted
         self._threads = threads or default_threads()
-        self._written: list[_Written] = []
+        self._written: list[WrittenFrame] = []
         self._pending: deque[Future[None]] = deque()
         self._writer, self._force = writer, force
         self._check_folder()
@@ -180,7 +163,7 @@ class PlainSink:
             path = self._folder / FOLDERS[part] / f"{index:06d}.png"
             self._pending.append(self._encoders.submit(_write_png, path, picture))
         self._written.append(
-            _Written(index, timestamp_ns, color_timestamp_ns, T_world_camera, dict(T_camera_object or {}))
+            WrittenFrame(index, timestamp_ns, color_timestamp_ns, T_world_camera, dict(T_camera_object or {}))
         )
         self._wait(self._threads * PENDING_PER_THREAD)
 
@@ -219,9 +202,8 @@ class PlainSink:
             finally:
                 self._encoders.shutdown(cancel_futures=True)
             if self._begun:
-                self._write_poses()
-                self._write_object_poses()
-                self._write_timestamps()
+                for name, text in sidecar_texts(self._written, self._info.fps).items():
+                    _write_bytes(self._folder / name, text.encode())
                 self._write_intrinsics(complete=complete)
 
     def _check_folder(self) -> None:
@@ -277,72 +259,15 @@ class PlainSink:
         while len(self._pending) > allowed:
             self._pending.popleft().result()
 
-    def _write_poses(self) -> None:
-        if not any(frame.T_world_camera is not None for frame in self._written):
-            return
-        lines = pose_lines((frame.index, frame.T_world_camera) for frame in self._written)
-        _write_text(self._folder / "poses.txt", lines)
-
-    def _write_object_poses(self) -> None:
-        labels = sorted({label for frame in self._written for label in frame.T_camera_object})
-        if not labels:
-            return
-        entries = {
-            str(label): [
-                frame.T_camera_object[label].tolist() if label in frame.T_camera_object else None
-                for frame in self._written
-            ]
-            for label in labels
-        }
-        _write_text(self._folder / "object_poses.json", [json.dumps(entries)])
-
-    def _write_timestamps(self) -> None:
-        if all(self._is_regular(frame) for frame in self._written):
-            return
-        lines = ["# frame timestamp_ns [color_timestamp_ns]"]
-        for frame in self._written:
-            stamps = [frame.timestamp_ns]
-            if frame.color_timestamp_ns is not None:
-                stamps.append(frame.color_timestamp_ns)
-            lines.append(" ".join(str(value) for value in (frame.index, *stamps)))
-        _write_text(self._folder / "timestamps.txt", lines)
-
-    def _is_regular(self, frame: _Written) -> bool:
-        regular = regular_stamp(frame.index - self._written[0].index, self._info.fps)
-        return frame.timestamp_ns == regular and frame.color_timestamp_ns is None
-
     def _write_intrinsics(self, *, complete: bool) -> None:
-        rig = self._info.rig
-        cameras: dict[str, object] = {}
-        if rig.registered:
-            cameras = _camera_entries(rig.color)
-        else:
-            cameras = {
-                "color": _camera_entries(rig.color),
-                "depth": _camera_entries(rig.depth),
-                "T_color_depth": rig.T_color_depth.tolist(),
-            }
-        if self._mounted:
-            cameras["T_base_depth"] = inverse(rig.T_depth_base).tolist()
-        content = {
-            **cameras,
-            "depth_scale": self._info.depth_scale,
-            "fps": self._info.fps,
-            "written_by": self._writer,
-            "complete": complete,
-        }
-        _write_text(self._folder / INTRINSICS, [json.dumps(content, indent=1)])
+        text = intrinsics_text(self._info, mounted=self._mounted, writer=self._writer, complete=complete)
+        _write_bytes(self._folder / INTRINSICS, text.encode())
 
 
 def _depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.uint16]:
     units = np.rint(depth * np.float32(depth_scale))
     held = (units >= 0) & (units <= DEPTH_LIMIT)
     return np.where(held, units, 0).astype(np.uint16)
-
-
-def _camera_entries(camera: Camera) -> dict[str, object]:
-    entries: dict[str, object] = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    return {**entries, "distortion": list(camera.distortion)} if camera.distorted else entries
 
 
 def _clear_pictures(folder: Path, *, every: bool) -> None:
@@ -359,10 +284,6 @@ def _write_png(path: Path, picture: cv2.typing.MatLike) -> None:
     # OpenCV's own settings are its fastest that still compress; naming a level turns on slower filters.
     _, data = cv2.imencode(".png", picture)
     _write_bytes(path, data.tobytes())
-
-
-def _write_text(path: Path, lines: list[str]) -> None:
-    _write_bytes(path, "".join(f"{line}\n" for line in lines).encode())
 
 
 def _write_bytes(path: Path, data: bytes) -> None:
