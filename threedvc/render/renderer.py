@@ -9,32 +9,26 @@ for any number of threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import RenderConfig
 from threedvc.geometry.camera import CameraRig
-from threedvc.geometry.pose import Pose, compose, identity, inverse
+from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
 from threedvc.kernels.render.raycast import OPACITY, CastBlocks, Tiles, cast_rays
-from threedvc.kernels.render.shading import relight, round_colors, shade, shade_from_picture
-from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.post_filter import PictureFilter, kinds_of_pixels
-from threedvc.model.texture import ColorGrid
 from threedvc.parallel import for_ranges
-from threedvc.render.hole_filling import fill_unknown
 from threedvc.render.picture import Backdrop, Light, Picture
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
 from threedvc.render.render_model import RenderModel
+from threedvc.render.shading import Gain, Hits, first_rays, pixel_colors, shaded_rays
 
 __all__ = ["Renderer"]
 
-Scalar = TypeVar("Scalar", np.float32, np.uint8)
-
 SMALL_PICTURE = 320 * 240
-SAME_PLACE = 1e-9
+"""Pixels of a picture that is drawn with four rays each: what is small looks coarse without."""
 INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
     1: (interpolate_diamonds, 4, 4),
     2: (interpolate_centres, 2, 4),
@@ -70,7 +64,7 @@ class Renderer:
         poses: Mapping[int, Pose],
         *,
         color: bool = True,
-        gain: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
+        gain: Gain | None = None,
         T_shifted_camera: Pose | None = None,
         backdrop: Backdrop | None = None,
         lights: Mapping[int, Light] | None = None,
@@ -106,23 +100,39 @@ class Renderer:
         rig, rays = self.rig, self._depth_rays
         depth, labels = self.cast(rays, models, poses)
         picture = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
-        met: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
+        met: Hits | None = None
         kinds = None
         still = T_shifted_camera is None or np.array_equal(T_shifted_camera, identity())
         if color and still and self._color_rays is rays:
             met = self.cast_guessed(rays, models, poses, depth, labels)
-            picture = self._pixels(*self._shade(rays, models, poses, *met, backdrop, lights or {}), gain)
+            picture = self._colored(rays, met, models, poses, backdrop, lights or {}, gain)
         elif color:
             T = rig.T_color_depth if T_shifted_camera is None else compose(rig.T_color_depth, T_shifted_camera)
             moved = {number: compose(T, poses[number]) for number in poses}
             met = self.cast_guessed(self._color_rays, models, moved, *self.cast(self._color_rays, models, moved))
-            picture = self._pixels(*self._shade(self._color_rays, models, moved, *met, backdrop, lights or {}), gain)
+            picture = self._colored(self._color_rays, met, models, moved, backdrop, lights or {}, gain)
         if filters is not None and met is not None:
-            depths, numbers = self._first_rays(met[0]), self._first_rays(met[1])
+            depths = first_rays(met[0], rig.color, self.supersample)
+            numbers = first_rays(met[1], rig.color, self.supersample)
             kinds = kinds_of_pixels(depths, numbers, backdrop is not None)
             picture = filters.of(self.config.filter_parts).apply(picture, kinds, self.config.threads)
         shape = (rig.depth.height, rig.depth.width)
         return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape), kinds=kinds)
+
+    def _colored(
+        self,
+        rays: RayGrid,
+        hits: Hits,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        backdrop: Backdrop | None,
+        lights: Mapping[int, Light],
+        gain: Gain | None,
+    ) -> NDArray[np.uint8]:
+        """Return the colour picture (h, w, 3) of rays that met surfaces."""
+        threads = self.config.threads
+        color, known = shaded_rays(rays, hits, models, poses, backdrop, lights, threads)
+        return pixel_colors(color, known, self.rig.color, self.supersample, gain, threads)
 
     def cast(
         self, rays: RayGrid, models: Mapping[int, RenderModel], poses: Mapping[int, Pose]
@@ -211,99 +221,3 @@ class Renderer:
             for_ranges(ray_range, len(order), self.config.threads)
 
         return cast
-
-    def _shade(
-        self,
-        rays: RayGrid,
-        models: Mapping[int, RenderModel],
-        poses: Mapping[int, Pose],
-        depth: NDArray[np.float32],
-        labels: NDArray[np.uint8],
-        backdrop: Backdrop | None,
-        lights: Mapping[int, Light],
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Return colours (rays, 3) and which of them are known (rays,): those of rays that met a coloured cell."""
-        color, known = np.zeros((len(depth), 3), dtype=np.float32), np.zeros(len(depth), dtype=np.uint8)
-        if backdrop is not None:
-            T_picture_camera = compose(backdrop.T_camera_world, inverse(poses.get(0, identity())))
-            beyond = bool(np.abs(T_picture_camera - np.eye(4)).max() < SAME_PLACE)
-
-            def picture_range(start: int, stop: int) -> None:
-                shade_from_picture(
-                    start, stop, rays.slopes, depth, labels, T_picture_camera[:3], backdrop.camera.parameters(),
-                    backdrop.picture, beyond, color, known,
-                )  # fmt: skip
-
-            for_ranges(picture_range, len(depth), self.config.threads)
-        for number in sorted(poses):
-            for grid in models[number].model.color_grids():
-                T = cells_from_camera(poses[number], grid.cell_size_m)
-
-                def ray_range(start: int, stop: int, grid: ColorGrid = grid, T: Pose = T, number: int = number) -> None:
-                    shade(
-                        start, stop, rays.slopes, depth, labels, number, T, grid.tables, grid.colored, grid.colors,
-                        color, known,
-                    )  # fmt: skip
-
-                for_ranges(ray_range, len(depth), self.config.threads)
-            if number in lights:
-                self._relight(rays, models[number].model, number, poses[number], lights[number], depth, labels, color)
-        return color, known
-
-    def _relight(
-        self,
-        rays: RayGrid,
-        model: DecodedModel,
-        number: int,
-        pose: Pose,
-        light: Light,
-        depth: NDArray[np.float32],
-        labels: NDArray[np.uint8],
-        color: NDArray[np.float32],
-    ) -> None:
-        T = cells_from_camera(pose, model.voxel_size_m)
-
-        def ray_range(start: int, stop: int) -> None:
-            relight(
-                start, stop, rays.slopes, depth, labels, number, T, light.R_world_object, light.factors,
-                model.index.tables, model.occupied.reshape(-1), model.planes.reshape(-1, 4), color,
-            )  # fmt: skip
-
-        for_ranges(ray_range, len(depth), self.config.threads)
-
-    def _first_rays(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Return of values of the colour rays (rays,) those of every pixel's first one (h, w)."""
-        camera, s = self.rig.color, self.supersample
-        return np.ascontiguousarray(values.reshape(camera.height, s, camera.width, s)[:, 0, :, 0])
-
-    def _pixels(
-        self,
-        color: NDArray[np.float32],
-        known: NDArray[np.uint8],
-        gain: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
-    ) -> NDArray[np.uint8]:
-        """Average the rays of each pixel and fill what none of them hit."""
-        camera, s = self.rig.color, self.supersample
-        if s == 1:
-            value: NDArray[np.float32] = color.reshape(camera.height, camera.width, 3)
-            known = known.reshape(camera.height, camera.width)
-        else:
-            shade = color.reshape(camera.height, s, camera.width, s, 3)
-            hits = known.astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
-            rays = [(i, j) for i in range(s) for j in range(s)]
-            weight = np.zeros((camera.height, camera.width, 1), np.float32)
-            total = np.zeros((camera.height, camera.width, 3), np.float32)
-            for i, j in rays:
-                weight += hits[:, i, :, j]
-                total += shade[:, i, :, j]
-            value = np.asarray(total / np.maximum(weight, np.float32(1)), dtype=np.float32)
-            known = (weight[..., 0] > 0).astype(np.uint8)
-        fill_unknown(value, known)
-        factor, offset = gain or (np.ones(3, np.float32), np.zeros(3, np.float32))
-        picture = np.empty(value.shape, dtype=np.uint8)
-
-        def row_range(start: int, stop: int) -> None:
-            round_colors(start, stop, value, factor, offset, picture)
-
-        for_ranges(row_range, len(value), self.config.threads)
-        return picture
