@@ -23,7 +23,7 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.frames.multi_sensor import MergedSequence
-from threedvc.render.captured_depth import EDGE, FilmedDepth, depth_levels
+from threedvc.render.captured_depth import EDGE, CapturedDepth, depth_levels
 from threedvc.stream.batch import pack_batch, unpack_batch
 from threedvc.stream.headers import BatchHeader, VideoHeader
 from threedvc.stream.packets import Packet, PacketType
@@ -36,8 +36,8 @@ LEVELS = depth_levels(0.5, 1.01)
 CONFIG = EncoderConfig(motion=Motion.KNOWN, depth_video=DepthVideo.ON, refine=False, threads=2)
 
 
-def filmed(samples: NDArray[np.uint8], *, complete: bool = True) -> FilmedDepth:
-    return FilmedDepth(samples=samples, levels=LEVELS, complete=complete)
+def filmed(samples: NDArray[np.uint8], *, complete: bool = True) -> CapturedDepth:
+    return CapturedDepth(samples=samples, levels=LEVELS, complete=complete)
 
 
 def test_levels_rise_by_their_ratio() -> None:

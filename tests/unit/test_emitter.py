@@ -3,23 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from types import SimpleNamespace
-from typing import cast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import EncoderConfig, PoseConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.packetizer.packetizer import Emitter
-from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.frames.frame import SequenceInfo
+from threedvc.encoder.packetizer.packetizer import Packetizer
+from threedvc.encoder.reconstruction.frame_intake import FrameRecord
+from threedvc.frames.frame import SensorInfo, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.stream.batch import unpack_batch
@@ -34,43 +34,60 @@ START_NS = 1_700_000_000_000_000_000
 Script = Sequence[Pose]
 
 
+@dataclass
+class ScriptedObject:
+    """An object that goes where it is told, and has no cells."""
+
+    poses: Sequence[Pose]
+    born: int | None = 0
+    passing: bool = False
+    evidence: EvidenceModel = field(default_factory=lambda: EvidenceModel(0.01))
+    in_sight: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+
+@dataclass
+class ScriptedScene:
+    """What the packetizer asks of a scene, see `SceneSource`: scripts, empty models, times."""
+
+    objects: Mapping[int, ScriptedObject]
+    timestamps: Sequence[int]  # of frames that one sensor took, unless `order` tells the sensor of each
+    info: SequenceInfo = INFO
+    distance_m: float = 1.0
+    order: Sequence[int] = ()
+
+    @property
+    def records(self) -> Sequence[FrameRecord]:
+        order = self.order or [0] * len(self.timestamps)
+        return [
+            FrameRecord(
+                timestamp_ns=time,
+                color_offset_ns=0,
+                sensor=sensor,
+                synchronised=False,
+                repeated=False,
+                blind=False,
+                gain=NEUTRAL,
+            )
+            for time, sensor in zip(self.timestamps, order, strict=True)
+        ]
+
+
 def scene_of(
     scripts: dict[int, Script], times: Sequence[int] | None = None, born: dict[int, int] | None = None
-) -> Scene:
-    """Return what the emitter asks of a scene: scripts, empty models, times."""
+) -> ScriptedScene:
+    """Return a scene of scripts; it takes 30 frames a second unless `times` are given."""
     frames = len(next(iter(scripts.values())))
-    objects = {
-        number: SimpleNamespace(
-            distance_m=1.0,
-            number=number,
-            poses=list(script),
-            born=(born or {}).get(number, 0),
-            evidence=EvidenceModel(0.01),
-            passing=False,
-        )
-        for number, script in scripts.items()
-    }
+    objects = {number: ScriptedObject(list(script), (born or {}).get(number, 0)) for number, script in scripts.items()}
     times = [START_NS + round(frame * 1e9 / 30) for frame in range(frames)] if times is None else times
-    gains = [NEUTRAL] * len(times)
-    sensors, together = [0] * len(times), [False] * len(times)
-    scene = SimpleNamespace(
-        distance_m=1.0,
-        info=INFO,
-        objects=objects,
-        timestamps=list(times),
-        color_offsets=[0] * len(times),
-        gains=gains,
-        sensors=sensors,
-        together=together,
-    )
-    return cast(Scene, scene)
+    return ScriptedScene(objects, times)
 
 
-def emitted(scene: Scene, group: int = 10, config: EncoderConfig | None = None) -> list[Packet]:
-    emitter, frames = Emitter(scene, config or EncoderConfig(pose=STEPS)), len(scene.timestamps)
-    batches = (emitter.group(k, min(k + group, frames), [], last=k + group >= frames) for k in range(0, frames, group))
-    packets = [*emitter.head(), *(batch for batch in batches if batch is not None)]
-    return [*packets, emitter.end()]
+def packetized(scene: ScriptedScene, group: int = 10, config: EncoderConfig | None = None) -> list[Packet]:
+    packetizer, frames = Packetizer(scene, config or EncoderConfig(pose=STEPS)), len(scene.timestamps)
+    starts = range(0, frames, group)
+    batches = (packetizer.batch(k, min(k + group, frames), [], last=k + group >= frames) for k in starts)
+    packets = [*packetizer.stream_headers(), *(batch for batch in batches if batch is not None)]
+    return [*packets, packetizer.end()]
 
 
 def members(packets: Sequence[Packet], kind: PacketType) -> Iterator[Packet]:
@@ -124,7 +141,7 @@ def assert_follows(states: Sequence[FrameState], scripts: dict[int, Script]) -> 
 @pytest.mark.parametrize("group", [1, 7, 40, 100])
 def test_decoded_poses_are_those_of_the_script(group: int) -> None:
     scripts = {0: walk(40, 0.004), 3: walk(40)}
-    packets = emitted(scene_of(scripts), group)
+    packets = packetized(scene_of(scripts), group)
     states = decoded(packets)
     assert [state.index for state in states] == list(range(40))
     assert_follows(states, scripts)
@@ -144,12 +161,12 @@ def scripts_with_rests(draw: st.DrawFn) -> dict[int, Script]:
 
 @given(scripts_with_rests(), st.integers(1, 12))
 def test_any_script_is_followed(scripts: dict[int, Script], group: int) -> None:
-    assert_follows(decoded(emitted(scene_of(scripts), group)), scripts)
+    assert_follows(decoded(packetized(scene_of(scripts), group)), scripts)
 
 
 def test_what_stands_still_has_one_pose_at_most() -> None:
     scripts = {0: still(30), 1: still(30, place((0.1, 0, 0), (0, 0, 1))), 2: walk(30)}
-    packets = emitted(scene_of(scripts))
+    packets = packetized(scene_of(scripts))
     assert posed_frames(packets, 0) == []
     assert posed_frames(packets, 1) == [0]
     assert posed_frames(packets, 2) == list(range(30))
@@ -157,7 +174,7 @@ def test_what_stands_still_has_one_pose_at_most() -> None:
 
 def test_a_rest_has_no_poses() -> None:
     script = [*walk(10), *still(30, walk(10)[-1]), *(compose(place((0, 0, 0), (0.1, 0, 0)), pose) for pose in walk(10))]
-    packets = emitted(scene_of({0: still(50), 1: script}), 10)
+    packets = packetized(scene_of({0: still(50), 1: script}), 10)
     assert posed_frames(packets, 1) == [*range(10), *range(40, 50)]
     # Groups in which nothing happens have no batch.
     batches = [BatchHeader.from_map(packet.header).frame for packet in packets if packet.type == PacketType.BATCH]
@@ -168,12 +185,12 @@ def test_a_rest_has_no_poses() -> None:
 def test_noise_below_the_quantisation_is_rest(rng: np.random.Generator) -> None:
     pose = place((0.3, 0.2, 0.1), (0.1, 0.2, 0.9))
     noisy = [compose(pose, place(rng.uniform(-2e-5, 2e-5, 3), rng.uniform(-5e-5, 5e-5, 3))) for _ in range(40)]
-    assert posed_frames(emitted(scene_of({0: still(40), 1: noisy})), 1) == [0]
+    assert posed_frames(packetized(scene_of({0: still(40), 1: noisy})), 1) == [0]
 
 
 def test_slow_drift_is_not_rest() -> None:
     script = [place((0, 0, 0), (1e-4 * frame, 0, 1)) for frame in range(60)]
-    packets = emitted(scene_of({0: still(60), 1: script}))
+    packets = packetized(scene_of({0: still(60), 1: script}))
     assert_follows(decoded(packets), {1: script})
 
 
@@ -181,21 +198,21 @@ def test_what_rests_in_the_room_costs_nothing_while_the_camera_moves() -> None:
     T_camera_world = walk(40, 0.0137)
     T_world_object = place((0.1, 0.2, 0.3), (0.3, 0.2, 2.5))
     scripts = {0: T_camera_world, 1: [compose(T, T_world_object) for T in T_camera_world]}
-    packets = emitted(scene_of(scripts))
+    packets = packetized(scene_of(scripts))
     assert posed_frames(packets, 0) == list(range(40))
     assert posed_frames(packets, 1) == [0]
     assert_follows(decoded(packets), scripts)
 
 
 def test_a_smooth_motion_costs_few_bytes() -> None:
-    packets = emitted(scene_of({0: walk(300, 0.002)}), 30)
+    packets = packetized(scene_of({0: walk(300, 0.002)}), 30)
     payloads = sum(len(member.payload) for member in members(packets, PacketType.POSE))
     assert payloads < 300 * 4
 
 
 def test_an_object_is_introduced_in_the_group_of_its_birth() -> None:
     scripts = {0: still(30), 5: walk(30)}
-    packets = emitted(scene_of(scripts, born={5: 14}))
+    packets = packetized(scene_of(scripts, born={5: 14}))
     (birth,) = [
         BatchHeader.from_map(packet.header).frame
         for packet in packets
@@ -224,7 +241,7 @@ def test_an_object_is_introduced_in_the_group_of_its_birth() -> None:
 )
 def test_times_are_exact(jitter: Callable[[int], int]) -> None:
     times = [START_NS + round(frame * 1e9 / 30) + jitter(frame) for frame in range(25)]
-    packets = emitted(scene_of({0: still(25)}, times))
+    packets = packetized(scene_of({0: still(25)}, times))
     assert [state.timestamp_ns for state in decoded(packets)] == times
     clocks = [ClockHeader.from_map(member.header).frame for member in members(packets, PacketType.CLOCK)]
     # Only groups whose times are off carry them.
@@ -233,15 +250,15 @@ def test_times_are_exact(jitter: Callable[[int], int]) -> None:
 
 
 def test_a_regular_clock_costs_nothing() -> None:
-    packets = emitted(scene_of({0: still(100)}))
+    packets = packetized(scene_of({0: still(100)}))
     assert [packet.type for packet in packets] == [PacketType.STREAM, PacketType.BATCH, PacketType.END]
     assert not list(members(packets, PacketType.CLOCK))
 
 
 def test_an_endless_rest_is_broken_in_time_for_readers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("threedvc.encoder.packetizer.packetizer.MAX_REST", 20)
+    monkeypatch.setattr("threedvc.encoder.packetizer.packetizer.MAX_IDLE_FRAMES", 20)
     monkeypatch.setattr("threedvc.decoder.decoder.MAX_COUNT", 40)
-    packets = emitted(scene_of({0: still(200)}), 5)
+    packets = packetized(scene_of({0: still(200)}), 5)
     assert len(decoded(packets)) == 200
     empty = [packet for packet in packets if packet.type == PacketType.BATCH and not packet.payload]
     assert 5 <= len(empty) <= 10
@@ -249,12 +266,12 @@ def test_an_endless_rest_is_broken_in_time_for_readers(monkeypatch: pytest.Monke
 
 def test_reports_travel_with_the_batch() -> None:
     scene = scene_of({0: still(4)})
-    emitter = Emitter(scene, EncoderConfig())
+    packetizer = Packetizer(scene, EncoderConfig())
     told = [FrameReport(index=k, timestamp_ns=k, status="known", entropy_bits=64.0) for k in range(4)]
-    batch = emitter.group(0, 4, told, last=True)
+    batch = packetizer.batch(0, 4, told, last=True)
     assert batch is not None
     decoder = Decoder()
-    list(decoder.frames([*emitter.head(), batch, emitter.end()]))
+    list(decoder.frames([*packetizer.stream_headers(), batch, packetizer.end()]))
     assert decoder.report.entropy_bits == (64.0,) * 4
 
 
@@ -262,8 +279,19 @@ def test_reports_travel_with_the_batch() -> None:
 def test_the_nominal_clock_is_that_of_the_frame_rate(fps: float) -> None:
     scene = scene_of({0: still(1000)}, [0] * 1000)
     scene.info = SequenceInfo(name="clock", rig=RIG, depth_scale=1000.0, fps=fps, frame_count=None)
-    times = [
-        state.timestamp_ns
-        for state in decoded([*Emitter(scene, EncoderConfig()).head(), Emitter(scene, EncoderConfig()).end()])
-    ]
+    packetizer = Packetizer(scene, EncoderConfig())
+    times = [state.timestamp_ns for state in decoded([*packetizer.stream_headers(), packetizer.end()])]
     np.testing.assert_allclose(np.diff(times), 1e9 / fps, atol=1, rtol=1e-6)
+
+
+def test_a_sensor_that_begins_after_the_head_was_sent_keeps_its_times() -> None:
+    sensor = SensorInfo(name="one of two", rig=RIG, depth_scale=1000.0, fps=30.0)
+    info = replace(INFO, sensors=(sensor, replace(sensor, name="the other")))
+    times = [START_NS + 10_000_000 * frame for frame in range(8)]
+    order = [0, 0, 0, 0, 0, 1, 0, 1]
+    scene = ScriptedScene({0: ScriptedObject(still(8))}, times[:4], info, order=order[:4])
+    packetizer = Packetizer(scene, EncoderConfig(causal=True, pose=STEPS))
+    head, first = packetizer.stream_headers(), packetizer.batch(0, 4, [], last=False)
+    scene.timestamps, scene.order = times, order
+    packets = [*head, first, packetizer.batch(4, 8, [], last=True), packetizer.end()]
+    assert [state.timestamp_ns for state in decoded([each for each in packets if each is not None])] == times

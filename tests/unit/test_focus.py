@@ -22,7 +22,7 @@ from threedvc.config import (
 )
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
-from threedvc.encoder.rate.region_of_interest import finer, focus_weights, focused
+from threedvc.encoder.rate.region_of_interest import roi_weights, with_roi_weights, with_steps_scaled
 from threedvc.errors import ConfigError
 from threedvc.model.model_update import ModelUpdate
 from threedvc.stream.packets import Packet
@@ -53,30 +53,30 @@ def errors(sequence: ListSequence, packets: list[Packet]) -> tuple[float, float]
 
 def test_weights_of_object_and_box() -> None:
     focuses = [Focus(weight=4, number=1), Focus(weight=3, box_m=BOX), Focus(weight=2, number=0)]
-    np.testing.assert_allclose(focus_weights(focuses, 1, CELLS, 0.1), 4)
-    np.testing.assert_allclose(focus_weights(focuses, 0, CELLS, 0.1), [2, 6, 6, 2])
-    np.testing.assert_allclose(focus_weights([], 0, CELLS, 0.1), 1)
+    np.testing.assert_allclose(roi_weights(focuses, 1, CELLS, 0.1), 4)
+    np.testing.assert_allclose(roi_weights(focuses, 0, CELLS, 0.1), [2, 6, 6, 2])
+    np.testing.assert_allclose(roi_weights([], 0, CELLS, 0.1), 1)
 
 
 def test_steps_follow_the_heaviest_cell() -> None:
     settings = ColorSettings(luma_step=16, chroma_step=32)
     update = ModelUpdate.adding(CELLS, np.zeros((4, 3), np.int16))
-    same, steps = focused(update, settings, (), 0, 0.1)
+    same, steps = with_roi_weights(update, settings, (), 0, 0.1)
     assert same is update
     assert steps is settings
-    weighted, steps = focused(update, settings, (Focus(weight=4, box_m=BOX),), 0, 0.1)
+    weighted, steps = with_roi_weights(update, settings, (Focus(weight=4, box_m=BOX),), 0, 0.1)
     assert weighted.importance is not None
     np.testing.assert_allclose(weighted.importance, [0.25, 1, 1, 0.25])
     assert (steps.luma_step, steps.chroma_step) == (8, 16)
     seen = replace(update, importance=np.array([2, 1, 1, 1], np.float32))
-    weighted, _ = focused(seen, settings, (Focus(weight=4, box_m=BOX),), 0, 0.1)
+    weighted, _ = with_roi_weights(seen, settings, (Focus(weight=4, box_m=BOX),), 0, 0.1)
     assert weighted.importance is not None
     np.testing.assert_allclose(weighted.importance, [0.5, 1, 1, 0.25])
 
 
 @pytest.mark.parametrize("weight", [100.0, 0.01])
 def test_steps_keep_within_their_bounds(weight: float) -> None:
-    steps = finer(ColorSettings(luma_step=0.1, chroma_step=200), weight)
+    steps = with_steps_scaled(ColorSettings(luma_step=0.1, chroma_step=200), weight)
     assert ColorSettings(luma_step=steps.luma_step, chroma_step=steps.chroma_step) == steps
 
 

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import io
 from math import inf
 
 import numpy as np
 import pytest
 
+from container_streams import end, stream_header
 from threedvc.config import (
     ColorConfig,
     EncoderConfig,
@@ -17,18 +19,29 @@ from threedvc.config import (
     with_step,
 )
 from threedvc.encoder.rate.rate_control import (
-    GREATEST_STEP,
-    LEAST_STEP,
+    MAX_STEP,
+    MIN_STEP,
     LeakyBucket,
     best_cells,
+    bisect_step,
     cell_factor,
-    closest_below,
     error_at,
     live_cell_factor,
     stream_bytes,
-    surface_room,
+    surface_budget,
 )
 from threedvc.errors import ConfigError
+from threedvc.formats.container import StreamWriter
+from threedvc.formats.container.layout import CRC, PACKET_HEAD
+from threedvc.stream.batch import pack_batch
+from threedvc.stream.framing_sizes import (
+    MAX_BATCH_FRAMING_BYTES,
+    MAX_END_BYTES,
+    MAX_INDEX_ENTRY_BYTES,
+    MAX_MEMBER_FRAMING_BYTES,
+    PACKET_FRAMING_BYTES,
+)
+from threedvc.stream.headers import BatchHeader, ModelHeader
 from threedvc.stream.packets import Packet, PacketType
 
 
@@ -39,22 +52,22 @@ def made(step: float) -> int:
 
 @pytest.mark.parametrize("target", [1800, 5000, 20_000, 100_000])
 def test_bisection_comes_close_from_below(target: int) -> None:
-    step, size = closest_below(made, target)
+    step, size = bisect_step(made, target)
     assert 0.95 * target < size <= target
     assert made(step) == size
 
 
 def test_bounds_of_the_step_are_kept() -> None:
-    assert closest_below(made, 10)[0] == pytest.approx(GREATEST_STEP, rel=0.05)
-    assert closest_below(made, 10**9)[0] == pytest.approx(LEAST_STEP, rel=0.05)
+    assert bisect_step(made, 10)[0] == pytest.approx(MAX_STEP, rel=0.05)
+    assert bisect_step(made, 10**9)[0] == pytest.approx(MIN_STEP, rel=0.05)
 
 
 def test_cells_follow_the_rate() -> None:
     assert cell_factor(20_000, 20_000) == 1.0
     assert cell_factor(80_000, 20_000) == pytest.approx(2.0, rel=0.01)
     assert cell_factor(5_000, 20_000) == pytest.approx(0.5, rel=0.01)
-    assert cell_factor(10**9, surface_room(300, 3_000)) == 4.0
-    assert cell_factor(100, surface_room(0, 10**9)) == 0.25
+    assert cell_factor(10**9, surface_budget(300, 3_000)) == 4.0
+    assert cell_factor(100, surface_budget(0, 10**9)) == 0.25
 
 
 def test_live_cells_follow_the_rate() -> None:
@@ -97,19 +110,36 @@ def test_a_bucket_never_gives_more_than_its_rate_and_buffer() -> None:
     bucket, sent, rng = LeakyBucket(1000.0, 2.0), 0, np.random.default_rng(5)
     for second in range(1, 200):
         bucket.wait(1.0)
-        take = int(min(bucket.room, rng.integers(0, 4000)))
+        take = int(min(bucket.available, rng.integers(0, 4000)))
         bucket.take(take)
         sent += take
         assert sent <= 1000 * second + 2000
     assert sent > 0.9 * 1000 * 200
     bucket.wait(1e9)
-    assert bucket.room == 2000
+    assert bucket.available == 2000
 
 
 def test_stream_bytes_counts_headers() -> None:
     packet = Packet(type=PacketType.BATCH, header={"f": 0, "n": 3}, payload=bytes(100))
     assert 130 < stream_bytes([packet]) < 200
     assert stream_bytes([packet, packet]) > 2 * 128
+
+
+def test_framing_takes_what_is_counted() -> None:
+    assert PACKET_HEAD.size + CRC.size == PACKET_FRAMING_BYTES
+    sink = io.BytesIO()
+    writer = StreamWriter(sink)
+    writer.write(stream_header().packet())
+    for number in range(100):
+        before, member = writer.offset, ModelHeader(object_id=255, frame=100_000 * number).packet(bytes(1000))
+        packet = pack_batch(BatchHeader(frame=100_000 * number, count=100), [member])
+        assert len(packet.payload) - 1000 <= MAX_MEMBER_FRAMING_BYTES
+        writer.write(packet)
+        assert writer.offset - before - len(packet.payload) <= MAX_BATCH_FRAMING_BYTES
+    before = writer.offset
+    writer.write(end(10_000_000))
+    writer.close()
+    assert len(sink.getvalue()) - before <= MAX_END_BYTES + 100 * MAX_INDEX_ENTRY_BYTES
 
 
 def test_quality_is_monotone_and_fifty_is_the_default() -> None:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from threedvc.config import FusionConfig, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.fusion.surface_extraction import Surface, in_regions, read_surface
-from threedvc.encoder.rate.model_updates import changes, first_sights
+from threedvc.encoder.fusion.surface_extraction import Surface, grouped_by_region, read_surface
+from threedvc.encoder.rate.model_updates import first_visible_update, incremental_update
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera, CameraRig
@@ -192,23 +192,23 @@ def test_cells_are_due_in_the_group_of_their_first_sight() -> None:
     sent = DecodedModel(CELL)
     groups = []
     for until in (4, 8, None):
-        due = first_sights(surface, sent, until)
+        due = first_visible_update(surface, sent, until)
         groups.append(as_set(due.added))
         assert not len(due.removed)
         assert not len(due.recolored)
         sent.apply(due)
     assert groups == [{(0, 0, 0), (0, 1, 0)}, {(1, 0, 0)}, {(1, 1, 0)}]
-    assert first_sights(surface, sent, None).empty
+    assert first_visible_update(surface, sent, None).empty
     np.testing.assert_array_equal(sent.cells()[1], surface.colors)
 
 
 def test_live_what_was_sent_is_not_sent_again() -> None:
     model, sent = evidence(slanted(), times=6), DecodedModel(CELL)
-    first = changes(model, sent, 1)
+    first = incremental_update(model, sent, 1)
     assert len(first.added) > 500
     assert not len(first.removed)
     sent.apply(first)
-    again = changes(model, sent, 1)
+    again = incremental_update(model, sent, 1)
     assert len(again.added) < 0.02 * len(first.added)
     assert not len(again.removed)
     assert not len(again.recolored)
@@ -217,17 +217,17 @@ def test_live_what_was_sent_is_not_sent_again() -> None:
 def test_live_only_what_is_sure_is_sent() -> None:
     model = EvidenceModel(CELL)
     add(model, flat(2.41), sensor=Sensor.REALSENSE)
-    few = len(changes(model, DecodedModel(CELL), 1).added)
+    few = len(incremental_update(model, DecodedModel(CELL), 1).added)
     for index in range(1, 12):
         add(model, flat(2.41), index, sensor=Sensor.REALSENSE)
-    assert few < 0.5 * len(changes(model, DecodedModel(CELL), 1).added)
+    assert few < 0.5 * len(incremental_update(model, DecodedModel(CELL), 1).added)
 
 
 def test_live_a_surface_that_shifts_by_a_cell_is_not_doubled() -> None:
     model, sent = evidence(flat(1.21), times=6), DecodedModel(CELL)
     shifted = read_surface(model, 1).cells - [0, 0, 1]
     sent.apply(update(shifted.astype(np.int32)))
-    due = changes(model, sent, 1)
+    due = incremental_update(model, sent, 1)
     # At most the rim, where a sent surface may go on.
     assert len(due.added) < 0.1 * len(shifted)
     assert not len(due.removed)
@@ -237,11 +237,11 @@ def test_live_what_vanished_is_taken_away() -> None:
     before = flat(1.51)
     before[15:33, 20:40] = 0.81
     model, sent = evidence(before, times=6), DecodedModel(CELL)
-    sent.apply(changes(model, sent, 1))
+    sent.apply(incremental_update(model, sent, 1))
     assert np.any(centres(sent.cells()[0])[:, 2] < 1.0)
     for index in range(12):
         add(model, flat(1.51), 6 + index)
-    due = changes(model, sent, 1)
+    due = incremental_update(model, sent, 1)
     assert len(due.removed) > 50
     assert np.all(centres(due.removed)[:, 2] < 1.1)
     sent.apply(due)
@@ -251,14 +251,14 @@ def test_live_what_vanished_is_taken_away() -> None:
 @pytest.mark.parametrize(("levels", "sent_again"), [(10, False), (40, True)])
 def test_live_a_cell_is_recoloured_when_it_matters(levels: int, sent_again: bool) -> None:
     model, sent = evidence(flat(1.21), times=6), DecodedModel(CELL)
-    sent.apply(changes(model, sent, 1))
+    sent.apply(incremental_update(model, sent, 1))
     sent.color[sent.occupied != 0] += np.int16(levels)
-    due = changes(model, sent, 1)
+    due = incremental_update(model, sent, 1)
     assert (len(due.recolored) > 0.9 * sent.cell_count) is sent_again
     if sent_again:
         assert np.median(due.recolored_colors) == 100
     sent.apply(due)
-    assert len(changes(model, sent, 1).recolored) <= 0.1 * sent.cell_count
+    assert len(incremental_update(model, sent, 1).recolored) <= 0.1 * sent.cell_count
 
 
 def test_live_updates_always_fit(rng: np.random.Generator) -> None:
@@ -268,7 +268,7 @@ def test_live_updates_always_fit(rng: np.random.Generator) -> None:
         depth = (flat(1.2) + rng.normal(0, 0.01, (48, 60)) + 0.3 * (index // 6)).astype(np.float32)
         depth[rng.random(depth.shape) < 0.1] = 0
         add(model, depth, index, int(rng.integers(40, 200)), Sensor.KINECT1)
-        due = changes(model, sent, 1)
+        due = incremental_update(model, sent, 1)
         groups = [as_set(due.added), as_set(due.removed), as_set(due.recolored)]
         assert sum(map(len, groups)) == len(set().union(*groups))
         for cells in (due.added, due.removed, due.recolored):
@@ -286,4 +286,4 @@ def test_cells_of_a_region_are_first_seen_together() -> None:
         first_seen=np.array([7, 3, 9, EvidenceModel.NEVER], np.int32),
         crossings=np.zeros((4, 3), np.float32),
     )
-    assert in_regions(surface).first_seen.tolist() == [3, 3, 9, EvidenceModel.NEVER]
+    assert grouped_by_region(surface).first_seen.tolist() == [3, 3, 9, EvidenceModel.NEVER]

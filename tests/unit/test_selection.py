@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
-from threedvc.encoder.rate.update_priority import best_part, bits_lifted, bits_taken
+from threedvc.encoder.rate.update_priority import bits_taken, information_gain_bits, select_within
 from threedvc.model.block_index import BLOCK_SIDE, morton_keys
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
@@ -56,13 +56,13 @@ def test_a_new_cell_lifts_all_but_its_entropy() -> None:
     model = evidence(log_odds=1.5, weight=0.7)
     meter = EntropyMeter(model)
     meter.update(np.arange(1), 1)
-    lifted = bits_lifted(update_of(added=block_cells(0, 512)), model, DecodedModel(0.01))
+    lifted = information_gain_bits(update_of(added=block_cells(0, 512)), model, DecodedModel(0.01))
     occupied = 1 / (1 + np.exp(-1.5))
     assert lifted.sum() == pytest.approx(512 * (1 + 24 * occupied) - meter.bits, rel=1e-6)
 
 
 def test_what_was_never_looked_at_lifts_nothing() -> None:
-    lifted = bits_lifted(update_of(added=block_cells(0, 3)), evidence(0, 0), DecodedModel(0.01))
+    lifted = information_gain_bits(update_of(added=block_cells(0, 3)), evidence(0, 0), DecodedModel(0.01))
     np.testing.assert_allclose(lifted, 0, atol=1e-12)
 
 
@@ -71,7 +71,7 @@ def test_a_wrong_cell_misleads_more_the_surer_it_is_empty() -> None:
     model, sent = evidence(), sent_with(cells, 100)
     model.log_odds[0, :4] = 0
     model.log_odds.reshape(-1)[model.index.locate(cells)] = [-2, -4, -6, -8]
-    lifted = bits_lifted(update_of(removed=cells), model, sent)
+    lifted = information_gain_bits(update_of(removed=cells), model, sent)
     assert np.all(np.diff(lifted) > 0)
     assert lifted[-1] == pytest.approx(8 / np.log(2), rel=0.02)
 
@@ -79,7 +79,7 @@ def test_a_wrong_cell_misleads_more_the_surer_it_is_empty() -> None:
 def test_a_wrong_color_misleads_by_how_far_it_is_off_but_never_more_than_none() -> None:
     cells = block_cells(0, 1)
     bits = [
-        bits_lifted(update_of(recolored=cells), evidence(), sent_with(cells, 100 + off))[0]
+        information_gain_bits(update_of(recolored=cells), evidence(), sent_with(cells, 100 + off))[0]
         for off in (0, 8, 16, 40, 90)
     ]
     assert bits == sorted(bits)
@@ -102,7 +102,7 @@ def test_dense_blocks_take_fewer_bits_a_cell_and_colors_no_geometry() -> None:
 
 def shares(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> list[list[int]]:
     """Return, for rising shares, which blocks are taken."""
-    parts = [best_part(update, model, sent, share, IN_SIGHT) for share in np.linspace(0, 1, 41)]
+    parts = [select_within(update, model, sent, share, IN_SIGHT) for share in np.linspace(0, 1, 41)]
     blocks = [
         np.unique(np.concatenate([part.added, part.removed, part.recolored])[:, 0] // BLOCK_SIDE) for part in parts
     ]
@@ -142,8 +142,8 @@ def test_what_is_in_sight_comes_first() -> None:
     update = update_of(np.concatenate([block_cells(0, 40), block_cells(1, 30)]))
     behind = np.arange(BLOCKS) > 0
     model = evidence()
-    plain = best_part(update, model, DecodedModel(0.01), 0.6, IN_SIGHT)
-    seen = best_part(update, model, DecodedModel(0.01), 0.6, behind)
+    plain = select_within(update, model, DecodedModel(0.01), 0.6, IN_SIGHT)
+    seen = select_within(update, model, DecodedModel(0.01), 0.6, behind)
     assert set((plain.added[:, 0] // BLOCK_SIDE).tolist()) == {0}
     assert set((seen.added[:, 0] // BLOCK_SIDE).tolist()) == {1}
 
@@ -161,11 +161,11 @@ def test_a_part_keeps_what_belongs_to_its_cells(rng: np.random.Generator) -> Non
         importance=np.arange(70, dtype=np.float32),
     )
     model, sent = evidence(), sent_with(held, 255)
-    assert best_part(update, model, sent, 0, IN_SIGHT).empty
-    assert best_part(update, model, sent, -1, IN_SIGHT).empty
-    whole = best_part(update, model, sent, 1, IN_SIGHT)
+    assert select_within(update, model, sent, 0, IN_SIGHT).empty
+    assert select_within(update, model, sent, -1, IN_SIGHT).empty
+    whole = select_within(update, model, sent, 1, IN_SIGHT)
     assert whole.size == update.size
-    part = best_part(update, model, sent, 0.7, IN_SIGHT)
+    part = select_within(update, model, sent, 0.7, IN_SIGHT)
     kept_added = len(part.added) > 0
     wanted = slice(0, 50) if kept_added else slice(50, 70)
     assert part.size in (50, 40)

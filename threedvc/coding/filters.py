@@ -8,14 +8,14 @@ import numpy as np
 from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
 from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
-from threedvc.model.post_filter import KINDS, PAIRS, PictureFilter
+from threedvc.model.post_filter import PAIRS, PIXEL_CLASSES, PostFilter
 
 __all__ = ["MAX_FACTOR", "decode_filter", "encode_filter"]
 
 MAX_FACTOR = 127
 
 
-def encode_filter(filters: PictureFilter, grey: bool) -> bytes:
+def encode_filter(filters: PostFilter, grey: bool) -> bytes:
     """Return the payload of a filter; grey streams have that of luma alone.
 
     Raises
@@ -30,7 +30,7 @@ def encode_filter(filters: PictureFilter, grey: bool) -> bytes:
     return writer.finish()
 
 
-def decode_filter(payload: bytes, grey: bool) -> PictureFilter:
+def decode_filter(payload: bytes, grey: bool) -> PostFilter:
     """Return the filter of a payload.
 
     Raises
@@ -39,24 +39,24 @@ def decode_filter(payload: bytes, grey: bool) -> PictureFilter:
         If the payload does not hold one.
     """
     reader = RangeReader(payload)
-    filters = _code(reader, PictureFilter.none(), grey)
+    filters = _code(reader, PostFilter.none(), grey)
     reader.finish()
     return filters
 
 
-def _code(coder: RangeCoder, filters: PictureFilter, grey: bool) -> PictureFilter:
-    """Code for every kind whether it has a filter, then its factors: of luma, and of chroma against those."""
-    luma, chroma = (np.zeros((KINDS, PAIRS), dtype=np.int32) for _ in range(2))
+def _code(coder: RangeCoder, filters: PostFilter, grey: bool) -> PostFilter:
+    """Code for every class of pixels if it has a filter, then its factors: of luma, and of chroma against those."""
+    luma, chroma = (np.zeros((PIXEL_CLASSES, PAIRS), dtype=np.int32) for _ in range(2))
     counters = [new_counters(NUMBER_COUNTERS) for _ in range(2)]
-    for kind in range(KINDS):
-        if not coder.bit(bool(filters.luma[kind].any() or filters.chroma[kind].any())):
+    for pixel_class in range(PIXEL_CLASSES):
+        if not coder.bit(bool(filters.luma[pixel_class].any() or filters.chroma[pixel_class].any())):
             continue
         for pair in range(PAIRS):
-            given = int(filters.luma[kind, pair]), int(filters.chroma[kind, pair])
+            given = int(filters.luma[pixel_class, pair]), int(filters.chroma[pixel_class, pair])
             of_luma = coder.signed(given[0], counters[0])
             of_chroma = of_luma + (0 if grey else coder.signed(given[1] - given[0], counters[1]))
             coder.check()
             if max(abs(of_luma), abs(of_chroma)) > MAX_FACTOR:
                 raise CorruptStream("the factors of a filter are out of range; the stream is damaged")
-            luma[kind, pair], chroma[kind, pair] = of_luma, of_chroma
-    return PictureFilter(luma=luma, chroma=chroma)
+            luma[pixel_class, pair], chroma[pixel_class, pair] = of_luma, of_chroma
+    return PostFilter(luma=luma, chroma=chroma)

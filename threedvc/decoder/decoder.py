@@ -31,8 +31,8 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.model.decoded_model import DecodedModel, models_digest
-from threedvc.model.post_filter import PictureFilter
-from threedvc.render.captured_depth import FilmedDepth, depth_levels
+from threedvc.model.post_filter import PostFilter
+from threedvc.render.captured_depth import CapturedDepth, depth_levels
 from threedvc.render.picture import Backdrop, Light
 from threedvc.stream.batch import unpack_batch
 from threedvc.stream.color_times import unpack_color_times
@@ -149,7 +149,7 @@ class Decoder:
         self._span = 0, 0
         self._lights: dict[int, NDArray[np.float64]] = {}
         self._backdrop: Backdrop | None = None
-        self._filters: PictureFilter | None = None
+        self._filters: PostFilter | None = None
         self._hung = False
 
     @property
@@ -410,7 +410,7 @@ class Decoder:
         pictures = decode_sequence(payload, header.count, header.columns, header.rows)
         levels = depth_levels(header.nearest_m, header.ratio)
         for frame, samples in zip(frames, pictures, strict=True):
-            filmed = FilmedDepth(samples=samples, levels=levels, complete=header.complete)
+            filmed = CapturedDepth(samples=samples, levels=levels, complete=header.complete)
             yield frame, lambda filmed=filmed: setattr(device, "filmed", filmed)  # type: ignore[misc]
 
     def _poses(self, header: PoseHeader, payload: bytes) -> Iterable[tuple[int, Pose]]:
@@ -427,7 +427,7 @@ class Decoder:
             coder.hold()
         return zip(frames, coder.decode(payload, header.count), strict=True)
 
-    def _set_filters(self, filters: PictureFilter) -> None:
+    def _set_filters(self, filters: PostFilter) -> None:
         self._filters = filters
 
     def _move(self, number: int, pose: Pose) -> None:

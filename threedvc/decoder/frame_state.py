@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.geometry.pose import Pose, compose, identity
-from threedvc.model.post_filter import PictureFilter
-from threedvc.render.captured_depth import FilmedDepth
+from threedvc.model.post_filter import PostFilter
+from threedvc.render.captured_depth import CapturedDepth
 from threedvc.render.picture import Backdrop, Light
 
 __all__ = ["FrameState", "camera_poses"]
@@ -60,8 +60,8 @@ class FrameState:
     gain: NDArray[np.int64]
     backdrop: Backdrop | None
     lights: Mapping[int, Light]
-    filters: PictureFilter | None
-    filmed: FilmedDepth | None
+    filters: PostFilter | None
+    filmed: CapturedDepth | None
     color_timestamp_ns: int | None = None
 
 

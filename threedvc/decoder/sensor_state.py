@@ -6,7 +6,7 @@ from __future__ import annotations
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.poses import PoseCoder
 from threedvc.geometry.pose import identity
-from threedvc.render.captured_depth import FilmedDepth
+from threedvc.render.captured_depth import CapturedDepth
 from threedvc.stream.headers import SensorHeader, StreamHeader
 from threedvc.stream.sensor_description import nearest_multiple, rig_of
 
@@ -32,7 +32,7 @@ class SensorState:
         self.shift, self.shifts = identity(), PoseCoder(*steps)
         self.gain, self.gains = NEUTRAL, GainCoder(header.grey)
         self.correction_ns = 0
-        self.filmed: FilmedDepth | None = None
+        self.filmed: CapturedDepth | None = None
 
     def next_time(self) -> int:
         """Return the time of its next frame."""
@@ -41,7 +41,7 @@ class SensorState:
         time, self.correction_ns = nominal + self.correction_ns, 0
         return time
 
-    def next_filmed(self) -> FilmedDepth | None:
+    def next_filmed(self) -> CapturedDepth | None:
         """Return the depth of its next frame, if there is a video of it."""
         filmed, self.filmed = self.filmed, None
         return filmed

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Depth as it was filmed, where rigid models cannot tell it: what a frame of a depth video shows.
+"""Depth as it was captured, where rigid models cannot tell it: what a frame of a depth video shows.
 
 Sensors that guess between few measurements give a surface another shape in every frame. The stream may carry a video
-of such depth beside the models: small pictures in logarithmic units, which stand for drawn depth in frames as filmed.
+of such depth beside the models: small pictures in logarithmic units, which stand for drawn depth in frames as captured.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from threedvc.kernels.render.depth_video import magnify
 from threedvc.parallel import for_ranges
 
-__all__ = ["LEVELS", "FilmedDepth", "depth_levels"]
+__all__ = ["LEVELS", "CapturedDepth", "depth_levels"]
 
 LEVELS = 256
+"""Values of a sample of 8 bits, as coders of video have them."""
 EDGE = 1.1
 """Samples that differ by more than this factor lie on different surfaces."""
 
@@ -28,7 +29,7 @@ def depth_levels(nearest_m: float, ratio: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FilmedDepth:
+class CapturedDepth:
     """The depth of one frame.
 
     Attributes

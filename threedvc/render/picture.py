@@ -61,11 +61,11 @@ class Picture:
         (h, w) float32 metres in the depth camera, 0 = nothing there.
     labels
         (h, w) uint8 object numbers in the depth camera, 0 = background or nothing.
-    kinds
-        (h, w) uint8 kinds of the colour picture's pixels, see `threedvc.model.post_filter`; None without a filter.
+    pixel_classes
+        (h, w) uint8 classes of the colour picture's pixels, see `threedvc.model.post_filter`; None without a filter.
     """
 
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     labels: NDArray[np.uint8]
-    kinds: NDArray[np.uint8] | None = None
+    pixel_classes: NDArray[np.uint8] | None = None

@@ -18,7 +18,7 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
 from threedvc.kernels.render.raycast import OPACITY, CastBlocks, Tiles, cast_rays
-from threedvc.model.post_filter import PictureFilter, kinds_of_pixels
+from threedvc.model.post_filter import PostFilter, classify_pixels
 from threedvc.parallel import for_ranges
 from threedvc.render.picture import Backdrop, Light, Picture
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
@@ -68,7 +68,7 @@ class Renderer:
         T_shifted_camera: Pose | None = None,
         backdrop: Backdrop | None = None,
         lights: Mapping[int, Light] | None = None,
-        filters: PictureFilter | None = None,
+        filters: PostFilter | None = None,
     ) -> Picture:
         """Draw one frame.
 
@@ -101,7 +101,7 @@ class Renderer:
         depth, labels = self.cast(rays, models, poses)
         picture = np.zeros((rig.color.height, rig.color.width, 3), np.uint8)
         met: Hits | None = None
-        kinds = None
+        pixel_classes = None
         still = T_shifted_camera is None or np.array_equal(T_shifted_camera, identity())
         if color and still and self._color_rays is rays:
             met = self.cast_guessed(rays, models, poses, depth, labels)
@@ -114,10 +114,12 @@ class Renderer:
         if filters is not None and met is not None:
             depths = first_rays(met[0], rig.color, self.supersample)
             numbers = first_rays(met[1], rig.color, self.supersample)
-            kinds = kinds_of_pixels(depths, numbers, backdrop is not None)
-            picture = filters.of(self.config.filter_parts).apply(picture, kinds, self.config.threads)
+            pixel_classes = classify_pixels(depths, numbers, backdrop is not None)
+            picture = filters.of(self.config.filter_parts).apply(picture, pixel_classes, self.config.threads)
         shape = (rig.depth.height, rig.depth.width)
-        return Picture(color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape), kinds=kinds)
+        return Picture(
+            color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape), pixel_classes=pixel_classes
+        )
 
     def _colored(
         self,

@@ -16,7 +16,7 @@ from threedvc.encoder.appearance.background_depth import CodedDepthMap, averaged
 from threedvc.encoder.appearance.background_image import BackgroundImageCandidates, averaged_background
 from threedvc.encoder.appearance.fit_state import FitState
 from threedvc.encoder.appearance.rate_distortion import weighed_misfit
-from threedvc.encoder.rate.trial_coding import color_settings, one_shot
+from threedvc.encoder.rate.trial_coding import coded_size, color_settings
 from threedvc.encoder.reconstruction.depth_consistency import misfit_frames
 from threedvc.errors import FormatError
 from threedvc.metrics.depth_errors import mean_misfit
@@ -117,4 +117,4 @@ def _cell_bytes(state: FitState) -> int:
     """Return how many bytes the cells of the background take without colours."""
     surface, model = state.surfaces[0], state.colors.models[0].model
     flat = replace(surface, colors=np.zeros_like(surface.colors))
-    return one_shot(flat, model.voxel_size_m, model.relief_bits, color_settings(ColorConfig(), state.grey))[0]
+    return coded_size(flat, model.voxel_size_m, model.relief_bits, color_settings(ColorConfig(), state.grey))[0]

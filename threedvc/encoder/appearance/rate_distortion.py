@@ -13,7 +13,7 @@ from threedvc.encoder.appearance.color_fit import fit_colors, log_color_error
 from threedvc.encoder.appearance.fit_state import FitState
 from threedvc.encoder.appearance.fitted_surfaces import fitted_surfaces
 from threedvc.encoder.rate.rate_control import DEPTH_SHARE, error_at
-from threedvc.encoder.rate.trial_coding import color_settings, one_shot
+from threedvc.encoder.rate.trial_coding import coded_size, color_settings
 from threedvc.encoder.reconstruction.depth_consistency import misfit_frames
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
@@ -57,7 +57,7 @@ def _coded(state: FitState, luma_step: float) -> tuple[int, float]:
     fitted, total = state.colors.values.copy(), 0
     for number, surface in fitted_surfaces(state).items():
         model = state.colors.models[number].model
-        size, decoded = one_shot(surface, model.voxel_size_m, model.relief_bits, settings)
+        size, decoded = coded_size(surface, model.voxel_size_m, model.relief_bits, settings)
         state.colors.recolor(number, *decoded.cells())
         total += size
     error = log_color_error(state)

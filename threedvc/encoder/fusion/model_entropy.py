@@ -14,7 +14,7 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.kernels.encoder.uncertainty import block_entropies
 from threedvc.parallel import for_ranges
 
-__all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "misled_bits"]
+__all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "cross_entropy_bits"]
 
 LOOK_SPREAD = 8.0
 LOOK_WEIGHT = 0.25
@@ -29,7 +29,7 @@ def channel_bits(weight: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(np.clip(bits, 0, UNKNOWN_BITS))
 
 
-def misled_bits(off: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
+def cross_entropy_bits(off: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the cross-entropy in bits of a channel against a belief whose mean is off.
 
     The belief has the deviation of one look; one that is far off costs as many bits as none.

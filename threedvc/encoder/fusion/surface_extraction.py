@@ -19,7 +19,7 @@ from threedvc.kernels.encoder.surface import count_neighbours, find_crossings, m
 from threedvc.model.block_index import BLOCK_CELLS, morton_keys
 from threedvc.parallel import for_ranges
 
-__all__ = ["MIN_NEIGHBOURS", "Surface", "in_regions", "read_surface"]
+__all__ = ["MIN_NEIGHBOURS", "Surface", "grouped_by_region", "read_surface"]
 
 MIN_WEIGHT = 0.02
 MIN_NEIGHBOURS = 3
@@ -126,7 +126,7 @@ def _smooth_range(
     )  # fmt: skip
 
 
-def in_regions(surface: Surface) -> Surface:
+def grouped_by_region(surface: Surface) -> Surface:
     """Let cells of a region of 16x16x16 cells be first seen together, when the first of them is.
 
     Sent one by one as the view wanders over them they cost 40 % more than all at once, so 7 %.

@@ -15,26 +15,30 @@ from threedvc.decoder.replay import played
 from threedvc.encoder.rate.rate_control import SHARE_PER_BYTE
 from threedvc.frames.sequence import FrameSequence, spread_step
 from threedvc.kernels.render.picture_filter import add_filter_equations
-from threedvc.model.post_filter import KINDS, PAIRS, PictureFilter, planes_of
+from threedvc.model.post_filter import FACTOR_UNIT, PAIRS, PIXEL_CLASSES, PostFilter, planes_of
 from threedvc.parallel import for_ranges
+from threedvc.render.picture import Picture
 from threedvc.render.render_model import RenderModel
 from threedvc.render.renderer import Renderer
 from threedvc.stream.headers import StreamHeader
 from threedvc.stream.packets import Packet
 
-__all__ = ["FILTER_BYTES", "fitted_filter"]
+__all__ = ["FILTER_BYTES", "fit_post_filter"]
 
 FILTER_BYTES = 60
-"""About what a filter takes in a file."""
-KIND_BYTES = {False: 9.0, True: 5.0}
-"""About what the factors of one kind of pixels take, by whether the stream is grey."""
+"""What a filter takes in a file at most; measured: 25 to 60 (decision 0014)."""
+CLASS_BYTES = {False: 9.0, True: 5.0}
+"""About what the factors of one class of pixels take, by whether the stream is grey: `FILTER_BYTES` over six classes;
+without chroma half of that."""
 FILTER_FRAMES = 40
+"""Frames that the fit draws at most: there are twelve unknowns to a class, and every frame has thousands of pixels."""
 DAMPING = 1e-4
+"""Share of the diagonal that is added to it: equations of a class with few or even pixels say little."""
 FACTORS = 2 * PAIRS
-UNIT = 1 / 64
+"""Unknowns of a class: a factor for each pair of pixels, of luma and of chroma."""
 
 
-def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int) -> PictureFilter | None:
+def fit_post_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int) -> PostFilter | None:
     """Fit a filter to what a decoder draws of packets.
 
     Parameters
@@ -48,8 +52,8 @@ def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int
 
     Returns
     -------
-    PictureFilter or None
-        With filters for the kinds of pixels where they save more than they take; None: for none.
+    PostFilter or None
+        With filters for the classes of pixels where they save more than they take; None: for none.
     """
     equations = _Equations(threads)
     every = spread_step(len(frames), FILTER_FRAMES, frames.info)
@@ -58,37 +62,39 @@ def fitted_filter(packets: Sequence[Packet], frames: FrameSequence, threads: int
         return state.index % every == 0 and bool(state.T_camera_object)
 
     for state, renderer, models in played(packets, threads, wanted):
-        equations.add(renderer, models, state, frames[state.index].color)
+        equations.add(_unfiltered(renderer, models, state), frames[state.index].color)
     total = sum(len(packet.payload) for packet in packets)
     return equations.solved(SHARE_PER_BYTE / total, StreamHeader.from_map(packets[0].header).grey)
 
 
+def _unfiltered(renderer: Renderer, models: dict[int, RenderModel], state: FrameState) -> Picture:
+    """Return what a decoder draws of a frame, with the classes of its pixels, before a filter."""
+    return renderer.draw(
+        models, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
+        backdrop=state.backdrop, lights=state.lights, filters=PostFilter.none(),
+    )  # fmt: skip
+
+
 class _Equations:
-    """Normal equations of the factors for each kind of pixels, every frame scaled to a squared error of one."""
+    """Normal equations of the factors for each class of pixels, every frame scaled to a squared error of one."""
 
     def __init__(self, threads: int) -> None:
         self._threads = threads
-        self._matrix, self._side = np.zeros((KINDS, FACTORS, FACTORS)), np.zeros((KINDS, FACTORS))
+        self._matrix, self._side = np.zeros((PIXEL_CLASSES, FACTORS, FACTORS)), np.zeros((PIXEL_CLASSES, FACTORS))
         self._frames = 0
 
-    def add(
-        self, renderer: Renderer, models: dict[int, RenderModel], state: FrameState, wanted: NDArray[np.uint8]
-    ) -> None:
-        """Add the equations of a frame."""
-        picture = renderer.draw(
-            models, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
-            backdrop=state.backdrop, lights=state.lights, filters=PictureFilter.none(),
-        )  # fmt: skip
-        assert picture.kinds is not None
-        planes, kinds, height = planes_of(picture.color), picture.kinds, len(wanted)
+    def add(self, drawn: Picture, wanted: NDArray[np.uint8]) -> None:
+        """Add the equations of a frame: of what is drawn, and the colours (h, w, 3) that it should have."""
+        assert drawn.pixel_classes is not None
+        planes, classes, height = planes_of(drawn.color), drawn.pixel_classes, len(wanted)
         starts = range(0, height, -(-height // self._threads))
-        matrices = np.zeros((len(starts), KINDS, FACTORS, FACTORS))
-        sides, squares = np.zeros((len(starts), KINDS, FACTORS)), np.zeros((len(starts), KINDS))
+        matrices = np.zeros((len(starts), PIXEL_CLASSES, FACTORS, FACTORS))
+        sides, squares = np.zeros((len(starts), PIXEL_CLASSES, FACTORS)), np.zeros((len(starts), PIXEL_CLASSES))
 
         def part_range(first: int, last: int) -> None:
             for part in range(first, last):
                 rows = starts[part], min(starts[part] + starts.step, height)
-                add_filter_equations(*rows, planes, kinds, wanted, matrices[part], sides[part], squares[part])
+                add_filter_equations(*rows, planes, classes, wanted, matrices[part], sides[part], squares[part])
 
         for_ranges(part_range, len(starts), self._threads)
         scale = 1 / max(float(squares.sum()), 1.0)
@@ -96,31 +102,31 @@ class _Equations:
         self._side += scale * sides.sum(axis=0)
         self._frames += 1
 
-    def solved(self, share_per_byte: float, grey: bool) -> PictureFilter | None:
+    def solved(self, share_per_byte: float, grey: bool) -> PostFilter | None:
         """Return the filters that save more of the squared error than their bytes are worth, or None."""
-        factors = np.zeros((KINDS, FACTORS), dtype=np.int32)
-        for kind in range(KINDS):
-            found = self._factors(kind, PAIRS if grey else FACTORS)
-            saved = found @ (2 * self._side[kind] - self._symmetric(kind) @ found)
-            if saved > KIND_BYTES[grey] * share_per_byte * self._frames:
-                factors[kind] = np.rint(found / UNIT)
+        factors = np.zeros((PIXEL_CLASSES, FACTORS), dtype=np.int32)
+        for pixel_class in range(PIXEL_CLASSES):
+            found = self._factors(pixel_class, PAIRS if grey else FACTORS)
+            saved = found @ (2 * self._side[pixel_class] - self._symmetric(pixel_class) @ found)
+            if saved > CLASS_BYTES[grey] * share_per_byte * self._frames:
+                factors[pixel_class] = np.rint(found / FACTOR_UNIT)
         luma, chroma = factors[:, :PAIRS], factors[:, PAIRS:]
         if not factors.any():
             return None
-        return PictureFilter(luma=np.ascontiguousarray(luma), chroma=np.ascontiguousarray(chroma))
+        return PostFilter(luma=np.ascontiguousarray(luma), chroma=np.ascontiguousarray(chroma))
 
-    def _symmetric(self, kind: int) -> NDArray[np.float64]:
-        upper = self._matrix[kind]
+    def _symmetric(self, pixel_class: int) -> NDArray[np.float64]:
+        upper = self._matrix[pixel_class]
         return np.asarray(upper + np.triu(upper, 1).T)
 
-    def _factors(self, kind: int, count: int) -> NDArray[np.float64]:
+    def _factors(self, pixel_class: int, count: int) -> NDArray[np.float64]:
         """Return the best factors (12,) that are multiples of a unit, rounded one by one while the rest follow."""
-        matrix, side = self._symmetric(kind)[:count, :count], self._side[kind, :count]
+        matrix, side = self._symmetric(pixel_class)[:count, :count], self._side[pixel_class, :count]
         matrix = matrix + np.diag(DAMPING * np.diag(matrix) + np.finfo(float).tiny)
         factors, free = np.zeros(FACTORS), np.arange(count)
         while len(free):
             known = side[free] - matrix[free] @ factors[:count]
             best = np.linalg.solve(matrix[np.ix_(free, free)], known)
-            factors[free[0]] = np.clip(np.rint(best[0] / UNIT), -MAX_FACTOR, MAX_FACTOR) * UNIT
+            factors[free[0]] = np.clip(np.rint(best[0] / FACTOR_UNIT), -MAX_FACTOR, MAX_FACTOR) * FACTOR_UNIT
             free = free[1:]
         return factors

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
-from threedvc.encoder.rate.rate_control import surface_room
+from threedvc.encoder.rate.rate_control import surface_budget as rate_surface_budget
 
 __all__ = ["stream_budget", "surface_budget"]
 
@@ -23,4 +23,4 @@ def surface_budget(state: Reconstruction) -> float | None:
     budget = stream_budget(state)
     if budget is None or state.config.voxel_size_m is not None or state.scene.objects[0].at_rest:
         return None
-    return surface_room(len(state.reports), budget)
+    return rate_surface_budget(len(state.reports), budget)

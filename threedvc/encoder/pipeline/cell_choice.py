@@ -15,7 +15,7 @@ from threedvc.encoder.fusion.surface_extraction import read_surface
 from threedvc.encoder.pipeline.budget import stream_budget, surface_budget
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
 from threedvc.encoder.rate.rate_control import MIDDLE_STEP, best_cells, cell_factor
-from threedvc.encoder.rate.trial_coding import color_settings, one_shot
+from threedvc.encoder.rate.trial_coding import coded_size, color_settings
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import ThinnedSequence, spread_step
 from threedvc.geometry.pose import Pose
@@ -42,7 +42,7 @@ def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None
     bits = scene.config.appearance.relief_bits or 0 if relief_bits is None else relief_bits
     threads = scene.config.threads
     sizes = (
-        one_shot(read_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, bits, settings)
+        coded_size(read_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, bits, settings)
         for item in scene.objects.values()
     )
     return sum(size for size, _ in sizes)

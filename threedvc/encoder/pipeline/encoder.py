@@ -14,7 +14,7 @@ from typing import cast
 from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.config import DepthVideo, EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import fit_appearance
-from threedvc.encoder.packetizer.packetizer import Emitter
+from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass, Reconstruction, fuse_frames
 from threedvc.encoder.pipeline.offline_passes import check_regions_of_interest, check_surfaces, find_objects, improve
 from threedvc.encoder.pipeline.rate_search import rated_choices, rated_stream
@@ -125,21 +125,21 @@ class Encoder:
 
     def _live(self, frames: Iterable[Frame], reporter: FrameReporter) -> Iterator[Packet]:
         """Send each batch when the first frame after it comes, so that the last batch is known to be it."""
-        packetizer: Emitter | None = None
+        packetizer: Packetizer | None = None
         sent = 0
         for frame_set in moments(frames, self._info):
             if len(self.reports) - sent >= self._batch_frames:
                 if packetizer is None:
                     packetizer = self._live_packetizer()
-                    yield from packetizer.head()
+                    yield from packetizer.stream_headers()
                 yield from batches(packetizer, self.state, sent, self._batch_frames, last=False)
                 sent = len(self.reports)
             self.reports.extend(reporter.fuse(self.scene, frame_set))
         if packetizer is None:
             packetizer = self._live_packetizer()
-            yield from packetizer.head()
+            yield from packetizer.stream_headers()
         yield from batches(packetizer, self.state, sent, self._batch_frames, last=True)
         yield packetizer.end()
 
-    def _live_packetizer(self) -> Emitter:
+    def _live_packetizer(self) -> Packetizer:
         return new_packetizer(self.state, StreamChoices(config=self.config))

@@ -258,8 +258,8 @@ def _with_poses_of_depth(common: Reconstruction, fusion: FusionPass) -> tuple[Re
 def _shifts_between(common: Scene, apart: Scene) -> list[Pose]:
     """Return T_shifted_camera of every frame, from poses that serve colour and depth and poses of the depth."""
     there = [rig.at_sensor for rig in apart.info.rigs]
-    poses = zip(common.objects[0].poses, apart.objects[0].poses, apart.sensors, strict=True)
-    return [compose(there[sensor](both), inverse(there[sensor](depth))) for both, depth, sensor in poses]
+    poses = zip(common.objects[0].poses, apart.objects[0].poses, apart.records, strict=True)
+    return [compose(there[frame.sensor](both), inverse(there[frame.sensor](depth))) for both, depth, frame in poses]
 
 
 def _is_better_apart(common: Reconstruction, apart: Reconstruction, shifts: Sequence[Pose], fusion: FusionPass) -> bool:

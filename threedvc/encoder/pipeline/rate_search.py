@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from threedvc.config import DepthVideo, EncoderConfig, with_step
-from threedvc.encoder.packetizer.depth_video import worthwhile_videos
-from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fitted_filter
+from threedvc.encoder.packetizer.depth_video import choose_depth_video
+from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fit_post_filter
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
-from threedvc.encoder.rate.rate_control import CLOSE, FINER, LEAST_STEP, closest_below, stream_bytes
+from threedvc.encoder.rate.rate_control import CLOSE, MAX_STEP_RATIO, MIN_STEP, bisect_step, stream_bytes
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.packets import Packet
 
@@ -33,11 +33,11 @@ def rated_choices(builder: StreamBuilder, filter_bytes: int = 0, videos: Sequenc
         choices = StreamChoices(config=config(step), background_step=background_step, videos=videos)
         return stream_bytes(builder.build(choices))
 
-    step, closest = closest_below(size, target)
-    finest = max(step / FINER, LEAST_STEP)
+    step, closest = bisect_step(size, target)
+    finest = max(step / MAX_STEP_RATIO, MIN_STEP)
     if closest < CLOSE * target and fitted is not None and fitted.backdrop is not None and finest < step:
         # Pictures come in leaps; cells fill what a leap leaves.
-        for_cells, larger = closest_below(lambda each: size(each, step), target, (finest, step))
+        for_cells, larger = bisect_step(lambda each: size(each, step), target, (finest, step))
         if closest < larger <= target:
             return StreamChoices(config=config(for_cells), background_step=step, videos=videos)
     return StreamChoices(config=config(step), videos=videos)
@@ -55,7 +55,7 @@ def rated_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
         if budget is None or stream_bytes(captured) <= budget:
             choices, packets = with_videos, captured
     plain_bytes = stream_bytes(packets)
-    post_filter = fitted_filter(packets, frames, builder.state.config.threads)
+    post_filter = fit_post_filter(packets, frames, builder.state.config.threads)
     if post_filter is not None:
         packets = builder.build(replace(choices, post_filter=post_filter))
     filter_bytes = stream_bytes(packets) - plain_bytes
@@ -74,4 +74,4 @@ def _depth_videos(builder: StreamBuilder, packets: Sequence[Packet], frames: Fra
     if mode is DepthVideo.OFF or (mode is DepthVideo.AUTO and not state.config.refine):
         return []
     wanted = mode is DepthVideo.ON
-    return worthwhile_videos(state.scene, frames, packets, stream_budget(state), builder.batch_frames, sure=wanted)
+    return choose_depth_video(state.scene, frames, packets, stream_budget(state), builder.batch_frames, sure=wanted)

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
-from threedvc.encoder.packetizer.packetizer import Emitter
+from threedvc.encoder.packetizer.background_choice import choose_background
+from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
 from threedvc.errors import SequenceError
-from threedvc.model.post_filter import PictureFilter
+from threedvc.model.post_filter import PostFilter
 from threedvc.stream.packets import Packet
 
 __all__ = ["StreamBuilder", "StreamChoices", "batches", "new_packetizer"]
@@ -35,11 +36,11 @@ class StreamChoices:
 
     config: EncoderConfig
     background_step: float | None = None
-    post_filter: PictureFilter | None = None
+    post_filter: PostFilter | None = None
     videos: Sequence[Packet] = ()
 
 
-def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: FittedAppearance | None = None) -> Emitter:
+def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: FittedAppearance | None = None) -> Packetizer:
     """Return what writes the packets of the frames taken in.
 
     Raises
@@ -54,11 +55,13 @@ def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: Fitted
             f"{state.info.name}: no frame has a depth measurement that could be used; all may lie beyond the reach "
             "of its sensor: give --sensor lidar, or --max-depth"
         )
-    return Emitter(state.scene, choices.config, fitted, choices.background_step, choices.post_filter, choices.videos)
+    config = choices.config
+    background = choose_background(state.scene, config, fitted, choices.background_step or config.color.luma_step)
+    return Packetizer(state.scene, config, fitted, background, choices.post_filter, choices.videos)
 
 
 def batches(
-    packetizer: Emitter, state: Reconstruction, first: int, batch_frames: int, *, last: bool
+    packetizer: Packetizer, state: Reconstruction, first: int, batch_frames: int, *, last: bool
 ) -> Iterator[Packet]:
     """Yield the batches of the frames from `first` on; `last`: no others will follow."""
     stop = len(state.reports)
@@ -66,7 +69,7 @@ def batches(
         end = min(start + batch_frames, stop)
         final = last and end == stop
         told = state.reports[start:end] if state.config.causal else state.reports if final else []
-        batch = packetizer.group(start, end, told, last=final)
+        batch = packetizer.batch(start, end, told, last=final)
         if batch is not None:
             yield batch
 
@@ -93,4 +96,4 @@ class StreamBuilder:
         """Return all packets; raises SequenceError as `new_packetizer` does."""
         packetizer = new_packetizer(self.state, choices, self.fitted)
         body = batches(packetizer, self.state, 0, self.batch_frames, last=True)
-        return [*packetizer.head(), *body, packetizer.end()]
+        return [*packetizer.stream_headers(), *body, packetizer.end()]

@@ -13,73 +13,92 @@ from math import inf
 
 import numpy as np
 
+from threedvc.stream.framing_sizes import FILE_HEAD_BYTES, INDEX_ENTRY_BYTES, PACKET_FRAMING_BYTES
 from threedvc.stream.packets import Packet
 from threedvc.stream.wire import pack_map
 
 __all__ = [
     "CLOSE",
     "DEPTH_SHARE",
-    "FINER",
-    "LEAST_STEP",
+    "MAX_STEP_RATIO",
     "MIDDLE_STEP",
+    "MIN_STEP",
     "SHARE_PER_BYTE",
     "LeakyBucket",
     "best_cells",
+    "bisect_step",
     "cell_factor",
-    "closest_below",
     "error_at",
     "live_cell_factor",
     "stream_bytes",
-    "surface_room",
+    "surface_budget",
 ]
 
 MIDDLE_STEP = 16.0
-FRAME_BYTES = 9.0
-HEAD_BYTES = 700.0
-MAX_CELL_FACTOR = 4.0
-WORTHWHILE = 1.08
-PACKET_BYTES, FILE_HEAD_BYTES, ENTRY_BYTES = 28, 11, 6
-LEAST_STEP, GREATEST_STEP = 0.5, 160.0
-TRIALS = 9
-NARROWER = 0.8
-MAX_NARROWINGS = 3
-RISES = 0.4, 1.0
-"""Least and greatest rise of the logarithm of an error as that of the bytes falls."""
-BITS_PER_LIVE_CELL = 6.0
-"""What a live stream sends in its first second over the cells that the surface of the first frame covers: 3.5 bits
-where the camera stands still, 7 where it turns fast."""
-LEAST_LIVE_FACTOR = 0.8
+"""Luma step by which cells are chosen before colours are fitted. Measured on the kitchen: narrow cells at a middling
+step show more of the depth than wide ones at a fine step, and the same colours (decision 0010)."""
+MIN_STEP, MAX_STEP = 0.5, 160.0
+"""Luma steps between which that of a rate is sought: half a level, which rounding hides, to most of the 256 levels."""
+MAX_TRIALS = 9
+"""Streams that a search for a step makes at most: nine halvings of that range leave steps 1.1 % apart."""
 CLOSE = 0.985
+"""Share of a target from which a size is close enough: what is missing is worth less than another trial."""
+MAX_STEP_RATIO = 8.0
+"""How many times as fine as the step of a background image that of the cells may be, to fill what is left of a rate:
+three halvings, beyond which their bits buy little."""
+
+FRAME_BYTES = 9.0
+"""About what a frame takes besides surfaces: a pose, 4 to 5 bytes, a gain, 1, and what a shift may take."""
+HEAD_BYTES = 700.0
+"""About what a file takes besides surfaces and frames: head, framing, INDEX, filter; by hand."""
+MIN_SURFACE_SHARE = 0.1
+"""Share of a file that surfaces get in any case: without them nothing is drawn."""
+
+MAX_CELL_FACTOR = 4.0
+"""Cells are made so many times as wide, or narrow, at most: how bytes go with them is extrapolated."""
+MIN_CHANGE = 1.08
+"""Cells wider or narrower by less than this are not worth fusing all frames again."""
+NARROWER, MAX_NARROWINGS = 0.8, 3
+"""Cells are tried in steps of this factor of their edge, and so often narrower: 1.56 times the bytes each time."""
+MIN_RISE, MAX_RISE = 0.4, 1.0
+"""Rise of the logarithm of an error as that of the bytes falls, within which two sizes are believed; by hand."""
+
+BITS_PER_LIVE_CELL = 6.0
+"""What a live stream sends in its first second over the cells that the surface of the first frame covers; measured: 3.5
+bits where the camera stands still, 7 where it turns fast."""
+MIN_LIVE_FACTOR = 0.8
+"""Live cells are no narrower than so many times the default: how fast the camera will move is not known. Measured on
+fr1_rpy at 128 kbit/s: with narrower ones more of the depth is lost (decision 0010)."""
+
 SHARE_PER_BYTE = 0.4
 """A share of the bytes of a stream is worth this share of its squared error, as steps of quantisation trade them."""
 DEPTH_SHARE = 0.5
 """A tenth off the misfit of the depth counts as much as about a fifth of a decibel of colours."""
-FINER = 8.0
 
 
 def stream_bytes(packets: Sequence[Packet]) -> int:
     """Return about how many bytes packets take in a file, their INDEX included."""
-    bodies = sum(PACKET_BYTES + len(pack_map(packet.header)) + len(packet.payload) for packet in packets)
-    return FILE_HEAD_BYTES + bodies + PACKET_BYTES + ENTRY_BYTES * len(packets)
+    bodies = sum(PACKET_FRAMING_BYTES + len(pack_map(packet.header)) + len(packet.payload) for packet in packets)
+    return FILE_HEAD_BYTES + bodies + PACKET_FRAMING_BYTES + INDEX_ENTRY_BYTES * len(packets)
 
 
-def surface_room(frames: int, target_bytes: float) -> float:
+def surface_budget(frames: int, target_bytes: float) -> float:
     """Return how many of the bytes of a file are left for surfaces: each frame takes poses."""
-    return max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, 0.1 * target_bytes)
+    return max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, MIN_SURFACE_SHARE * target_bytes)
 
 
-def cell_factor(surface_bytes: int, room_bytes: float) -> float:
+def cell_factor(surface_bytes: int, budget_bytes: float) -> float:
     """Return by how much wider cells must be for surfaces to take a number of bytes.
 
     Parameters
     ----------
     surface_bytes
         What the surfaces take with the present cells at `MIDDLE_STEP`; they go with the inverse square of the edge.
-    room_bytes
+    budget_bytes
         What they may take.
     """
-    factor = float(np.clip(np.sqrt(surface_bytes / room_bytes), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
-    return factor if max(factor, 1 / factor) > WORTHWHILE else 1.0
+    factor = float(np.clip(np.sqrt(surface_bytes / budget_bytes), 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR))
+    return factor if max(factor, 1 / factor) > MIN_CHANGE else 1.0
 
 
 def live_cell_factor(cells: float, bytes_per_second: float) -> float:
@@ -93,7 +112,7 @@ def live_cell_factor(cells: float, bytes_per_second: float) -> float:
         The rate.
     """
     factor = np.sqrt(cells * BITS_PER_LIVE_CELL / 8 / bytes_per_second)
-    return float(np.clip(factor, LEAST_LIVE_FACTOR, MAX_CELL_FACTOR))
+    return float(np.clip(factor, MIN_LIVE_FACTOR, MAX_CELL_FACTOR))
 
 
 def best_cells(error_of: Callable[[float], float]) -> float:
@@ -121,27 +140,27 @@ def best_cells(error_of: Callable[[float], float]) -> float:
     bend = wider + narrower - 2 * errors[best]
     beside = 0.5 * (wider - narrower) / bend if 0 < bend < inf else 0.0
     factor = float(NARROWER ** (best + beside))
-    return factor if max(factor, 1 / factor) > WORTHWHILE**0.5 else 1.0
+    return factor if max(factor, 1 / factor) > MIN_CHANGE**0.5 else 1.0
 
 
-def error_at(room_bytes: float, sizes: Sequence[int], errors: Sequence[float]) -> float:
+def error_at(budget_bytes: float, sizes: Sequence[int], errors: Sequence[float]) -> float:
     """Return the error at a number of bytes, linear in their logarithm between given sizes, which ascend.
 
     Below the least size it rises about as between the first two, which say little where they hardly differ; beyond
     the greatest it stays.
     """
     logs = np.maximum.accumulate(np.log(sizes))
-    if room_bytes < sizes[0]:
+    if budget_bytes < sizes[0]:
         apart = logs[1] - logs[0]
         rise = (errors[0] - errors[1]) / apart if apart > 0 else 0.0
-        return float(errors[0] + np.clip(rise, *RISES) * (logs[0] - np.log(room_bytes)))
-    return float(np.interp(np.log(room_bytes), logs, errors))
+        return float(errors[0] + np.clip(rise, MIN_RISE, MAX_RISE) * (logs[0] - np.log(budget_bytes)))
+    return float(np.interp(np.log(budget_bytes), logs, errors))
 
 
-def closest_below(
+def bisect_step(
     size_of: Callable[[float], int],
     target_bytes: float,
-    steps: tuple[float, float] = (LEAST_STEP, GREATEST_STEP),
+    steps: tuple[float, float] = (MIN_STEP, MAX_STEP),
 ) -> tuple[float, int]:
     """Find the largest size of at most `target_bytes`, or the smallest there is, by bisection of the step.
 
@@ -162,7 +181,7 @@ def closest_below(
     low, high = np.log2(steps)
     step = np.log2(MIDDLE_STEP) if low < np.log2(MIDDLE_STEP) < high else (low + high) / 2
     tried: list[tuple[float, int]] = []
-    for _ in range(TRIALS):
+    for _ in range(MAX_TRIALS):
         size = size_of(float(2**step))
         tried.append((float(2**step), size))
         if size > target_bytes:
@@ -185,16 +204,21 @@ class LeakyBucket:
         The rate.
     buffer_s
         So many seconds' worth may be sent at once; the stream starts with a full buffer.
+
+    Attributes
+    ----------
+    available
+        Bytes that may be sent now; below 0 where more was sent than was to be.
     """
 
     def __init__(self, bytes_per_second: float, buffer_s: float) -> None:
         self._rate = bytes_per_second
         self._size = bytes_per_second * buffer_s
-        self.room = self._size
+        self.available = self._size
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
-        self.room = min(self.room + self.refill(seconds), self._size)
+        self.available = min(self.available + self.refill(seconds), self._size)
 
     def refill(self, seconds: float) -> float:
         """Return how many bytes a time adds while the buffer is not full."""
@@ -202,4 +226,4 @@ class LeakyBucket:
 
     def take(self, count: int) -> None:
         """Note that bytes were sent."""
-        self.room -= count
+        self.available -= count

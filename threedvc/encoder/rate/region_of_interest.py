@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Focus of attention: where errors of colours count more, and bits go."""
+"""Regions of interest: where errors of colours count more, and bits go."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from threedvc.coding.color import LEAST_STEP, MAX_STEP, ColorSettings
 from threedvc.config import Focus
 from threedvc.model.model_update import ModelUpdate
 
-__all__ = ["finer", "focus_weights", "focused"]
+__all__ = ["object_weight", "roi_weights", "with_roi_weights", "with_steps_scaled"]
 
 
-def focus_weights(
+def roi_weights(
     focuses: Sequence[Focus], number: int, cells: NDArray[np.int32], voxel_size_m: float
 ) -> NDArray[np.float32]:
-    """Return how much the squared error of cells (n, 3) of an object counts, (n,), 1 without focus.
+    """Return how much the squared error of cells (n, 3) of an object counts, (n,), 1 outside all regions.
 
-    A cell's weight is the product of those of its object and of the boxes that its centre lies in.
+    A cell's weight is the product of those of its object and of the boxes that its center lies in.
     """
     weights = np.ones(len(cells), dtype=np.float32)
     for focus in focuses:
@@ -29,12 +29,12 @@ def focus_weights(
             weights *= np.float32(focus.weight)
         elif focus.box_m is not None and number == 0:
             low, high = np.array(focus.box_m).reshape(3, 2).T
-            centres = (cells + 0.5) * voxel_size_m
-            weights[np.all((centres >= low) & (centres < high), axis=1)] *= np.float32(focus.weight)
+            centers = (cells + 0.5) * voxel_size_m
+            weights[np.all((centers >= low) & (centers < high), axis=1)] *= np.float32(focus.weight)
     return weights
 
 
-def focused(
+def with_roi_weights(
     update: ModelUpdate, settings: ColorSettings, focuses: Sequence[Focus], number: int, voxel_size_m: float
 ) -> tuple[ModelUpdate, ColorSettings]:
     """Return an update and settings with which its colours are coded as finely as the focus asks.
@@ -45,14 +45,19 @@ def focused(
     cells = np.concatenate([update.added, update.recolored])
     if not focuses or not len(cells):
         return update, settings
-    weights = focus_weights(focuses, number, cells, voxel_size_m)
+    weights = roi_weights(focuses, number, cells, voxel_size_m)
     heaviest = float(weights.max())
     relative = weights / np.float32(heaviest)
     importance = relative if update.importance is None else update.importance * relative
-    return replace(update, importance=importance), finer(settings, heaviest)
+    return replace(update, importance=importance), with_steps_scaled(settings, heaviest)
 
 
-def finer(settings: ColorSettings, weight: float) -> ColorSettings:
+def object_weight(focuses: Sequence[Focus], number: int) -> float:
+    """Return how much the squared error of an object as a whole counts."""
+    return float(np.prod([focus.weight for focus in focuses if focus.number == number]))
+
+
+def with_steps_scaled(settings: ColorSettings, weight: float) -> ColorSettings:
     """Return the settings with which squared errors are smaller by a factor."""
     luma, chroma = (max(step / weight**0.5, LEAST_STEP) for step in (settings.luma_step, settings.chroma_step))
     return replace(settings, luma_step=min(luma, MAX_STEP), chroma_step=min(chroma, MAX_STEP))

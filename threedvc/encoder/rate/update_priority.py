@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Which part of a model update goes first when not all of it fits: what lifts most ignorance per bit.
+"""Priority in a model update of which not all fits: what gains most information per bit goes first.
 
-The ignorance of a receiver about a cell is the cross-entropy, in bits, of the evidence against what the receiver
+The uncertainty of a receiver about a cell is the cross-entropy, in bits, of the evidence against what the receiver
 believes. Of a cell that was never sent it believes nothing: occupancy is equiprobable, and so are the 256 levels of
 each channel. Of a cell that was sent it believes what it draws: that it is occupied, as surely as evidence can tell,
 and of its colour, known as well as after one look of weight 1/4; a colour further off than that costs as much as none.
 Once the cell is sent, the entropy of the evidence is left, H(occupancy) + H(colour), see
-`threedvc.encoder.fusion.model_entropy`. The difference, a Kullback-Leibler divergence, is what sending it lifts. A
-receiver looks at the present picture, so what was not in the field of view lately counts less.
+`threedvc.encoder.fusion.model_entropy`. The difference, a Kullback-Leibler divergence, is the information
+that sending it gains. A receiver looks at the present picture, so what was not in the field of view lately counts less.
 """
 
 from __future__ import annotations
@@ -17,25 +17,27 @@ from numpy.typing import NDArray
 
 from threedvc.config import FusionConfig
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.fusion.model_entropy import UNKNOWN_BITS, channel_bits, misled_bits
+from threedvc.encoder.fusion.model_entropy import UNKNOWN_BITS, channel_bits, cross_entropy_bits
 from threedvc.metrics.entropy import bernoulli_entropy_bits
 from threedvc.model.block_index import BLOCK_CELLS
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
-__all__ = ["best_part", "bits_lifted", "bits_taken"]
+__all__ = ["bits_taken", "information_gain_bits", "select_within"]
 
 CHANNELS = 3
+"""Colours are red, green and blue."""
 SURE_LOG_ODDS = FusionConfig().max_log_odds
+"""A receiver believes what it draws as surely as evidence can tell."""
 OUT_OF_SIGHT = 0.1
-"""How much a bit counts that the present picture does not show."""
+"""How much a bit counts that the present picture does not show; by hand: it may come into view again."""
 BLOCK_BITS, ADDED_BITS = 40.0, 2.0
 REMOVED_BITS, RECOLORED_BITS = 6.0, 5.5
 """About what a block with new cells takes, and each cell: by hand, after fits to parts of updates of recorded rooms."""
 
 
-def bits_lifted(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.float64]:
-    """Return by how much sending each cell lessens what a receiver does not know.
+def information_gain_bits(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.float64]:
+    """Return by how much sending each cell lessens the uncertainty of a receiver.
 
     Parameters
     ----------
@@ -59,10 +61,10 @@ def bits_lifted(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -
     before, color = np.ones(len(cells)), np.full(len(cells), CHANNELS * UNKNOWN_BITS)
     held = slice(len(update.added), None)
     before[held] = (np.logaddexp(0, SURE_LOG_ODDS) - occupied[held] * SURE_LOG_ODDS) / np.log(2)
-    off = model.color.reshape(-1, CHANNELS)[positions[held]] - _held_colors(sent, cells[held])
-    color[held] = misled_bits(off, weight[held, None]).sum(axis=1)
-    lifted = before - bernoulli_entropy_bits(log_odds) + occupied * (color - CHANNELS * channel_bits(weight))
-    return np.asarray(np.maximum(lifted, 0.0))
+    residual = model.color.reshape(-1, CHANNELS)[positions[held]] - _held_colors(sent, cells[held])
+    color[held] = cross_entropy_bits(residual, weight[held, None]).sum(axis=1)
+    gained = before - bernoulli_entropy_bits(log_odds) + occupied * (color - CHANNELS * channel_bits(weight))
+    return np.asarray(np.maximum(gained, 0.0))
 
 
 def bits_taken(update: ModelUpdate, member: NDArray[np.int64], blocks: int) -> NDArray[np.float64]:
@@ -89,14 +91,14 @@ def bits_taken(update: ModelUpdate, member: NDArray[np.int64], blocks: int) -> N
     )
 
 
-def best_part(
+def select_within(
     update: ModelUpdate,
     model: EvidenceModel,
     sent: DecodedModel,
     share: float,
     in_sight: NDArray[np.bool_],
 ) -> ModelUpdate:
-    """Return the part of an update that lifts most ignorance per bit, of at most about a share of its bits.
+    """Return the part of an update that gains most information per bit, of at most about a share of its bits.
 
     Parameters
     ----------
@@ -113,10 +115,10 @@ def best_part(
     """
     positions = model.index.locate(_cells(update))
     numbers, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
-    lifted = np.bincount(member, bits_lifted(update, model, sent), minlength=len(numbers))
-    lifted *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
+    gained = np.bincount(member, information_gain_bits(update, model, sent), minlength=len(numbers))
+    gained *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
     taken = bits_taken(update, member, len(numbers))
-    order = np.argsort(-lifted / taken, kind="stable")
+    order = np.argsort(-gained / taken, kind="stable")
     chosen = np.zeros(len(numbers), dtype=bool)
     chosen[order[np.cumsum(taken[order]) <= share * taken.sum()]] = True
     return _part(update, chosen[member])

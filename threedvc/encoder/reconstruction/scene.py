@@ -103,41 +103,6 @@ class Scene:
         """Entropy of all models."""
         return sum(item.entropy.bits for item in self.objects.values())
 
-    @property
-    def timestamps(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.timestamp_ns for record in self.records]
-
-    @property
-    def color_offsets(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.color_offset_ns for record in self.records]
-
-    @property
-    def sensors(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.sensor for record in self.records]
-
-    @property
-    def together(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.synchronised for record in self.records]
-
-    @property
-    def repeated(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.repeated for record in self.records]
-
-    @property
-    def blind(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.blind for record in self.records]
-
-    @property
-    def gains(self):  # type: ignore[no-untyped-def]
-        """Column."""
-        return [record.gain for record in self.records]
-
     def with_config(self, config: EncoderConfig) -> Scene:
         """Return the same scene, its objects shared, under other choices for what is still to come."""
         scene = copy(self)
@@ -246,14 +211,6 @@ class Scene:
         """Tell whether all poses at which an object was tracked lie within half a pixel of the first one."""
         item = self.objects[number]
         return item.tracker is not None and hardly_moves(item.found, self.info.rigs, self.distance_m)
-
-    def may_move(self, number: int) -> bool:
-        """Tell whether the poses of an object are worth refining in some frame."""
-        return self.objects[number].may_move
-
-    def at_rest(self, number: int) -> bool:
-        """Tell whether an object never moves before the camera, and is not going to be moved."""
-        return self.objects[number].at_rest
 
     @property
     def _one_object(self) -> bool:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: MIT
+"""A run of depth maps as small pictures in logarithmic units, coded one after another."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.coding.picture_sequence import encode_sequence
+from threedvc.render.captured_depth import LEVELS
+from threedvc.render.hole_filling import fill_unknown
+
+__all__ = ["DepthMaps", "EncodedDepthRun", "PictureFormat", "encode_depth_run"]
+
+ENDS_PERCENT = 0.1
+"""The values reach over the depths of all pixels but these at either end, which are outliers."""
+COMPLETE = 0.995
+"""Where this part of the pixels of every frame is measured, a run shows something everywhere: holes are specks."""
+MIN_RATIO, MAX_RATIO = 1.0001, 1.1
+"""Depth of a value to that of the one before: finer than any sensor where all is equally far, and no coarser than what
+is taken for an edge between surfaces, see `threedvc.render.captured_depth.EDGE`."""
+MAX_THOROUGH_SAMPLES = 4_000_000
+"""Samples of a run above which the most thorough coding takes too long: 60 pictures of 290x230."""
+MIN_WEIGHT = np.float32(1e-6)
+"""Where no pixel under a sample was measured: the sample is filled from around."""
+DepthMaps: TypeAlias = list[NDArray[np.float32]]
+"""Depth maps (h, w) in metres, 0 = nothing."""
+
+
+class PictureFormat(NamedTuple):
+    """Size of the pictures, and their quality from 0 to 100."""
+
+    columns: int
+    rows: int
+    quality: int
+
+
+class EncodedDepthRun(NamedTuple):
+    """A run of depth maps, coded.
+
+    Attributes
+    ----------
+    nearest_m, ratio
+        Depth that the value 0 means, and of each value to the one before.
+    complete
+        Whether the run shows something everywhere.
+    payload
+        The coded pictures.
+    """
+
+    nearest_m: float
+    ratio: float
+    complete: bool
+    payload: bytes
+
+
+def encode_depth_run(
+    measured: DepthMaps, filled: DepthMaps, choice: PictureFormat, *, thorough: bool
+) -> EncodedDepthRun:
+    """Code depth maps.
+
+    Parameters
+    ----------
+    measured
+        What the sensor measured.
+    filled
+        The same maps, with something else where nothing was measured: these are coded.
+    choice
+        Size and quality.
+    thorough
+        Whether to take time for it.
+    """
+    ends = [np.percentile(depth[depth > 0], [ENDS_PERCENT, 100 - ENDS_PERCENT]) for depth in filled]
+    nearest, furthest = float(min(near for near, _ in ends)), float(max(far for _, far in ends))
+    ratio = float(np.clip((furthest / nearest) ** (1 / (LEVELS - 1)), MIN_RATIO, MAX_RATIO))
+    samples = np.stack([_samples(depth, choice, nearest, ratio) for depth in filled])
+    return EncodedDepthRun(
+        nearest_m=nearest,
+        ratio=ratio,
+        complete=min(float(np.mean(depth > 0)) for depth in measured) > COMPLETE,
+        payload=encode_sequence(samples, choice.quality, thorough=thorough and samples.size < MAX_THOROUGH_SAMPLES),
+    )
+
+
+def _samples(depth: NDArray[np.float32], choice: PictureFormat, nearest_m: float, ratio: float) -> NDArray[np.uint8]:
+    """Return the samples (rows, columns) of a depth map; what is missing is filled from around."""
+    size = choice.columns, choice.rows
+    seen = depth > 0
+    steps = np.log(np.where(seen, depth, nearest_m) / nearest_m) / np.log(ratio)
+    weight = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize((steps * seen).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    mean = np.repeat((total / np.maximum(weight, MIN_WEIGHT))[..., None], 3, axis=2)
+    fill_unknown(mean, (weight > 0).astype(np.uint8))
+    return np.asarray(np.clip(np.rint(mean[..., 0]), 0, LEVELS - 1).astype(np.uint8))
