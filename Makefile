@@ -14,7 +14,8 @@ UNCOMPILED := $(patsubst %, tests/unit/test_%.py, block_index container_checksum
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test lint typecheck contracts coverage golden fuzz bench bench-rd paper docs build clean check
+.PHONY: help install demo test test-long lint typecheck contracts coverage golden fuzz bench bench-ci bench-ci-baseline \
+	bench-rd paper docs build clean check
 
 help: ## Show the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -44,8 +45,11 @@ demo: $(READY) ## Make a small sequence, encode it, decode it, print the report
 	@echo "Decoded pictures: $(DEMO)/decoded/color and $(DEMO)/decoded/depth"
 	@echo "Side by side:     $(DEMO)/montage.png"
 
-test: $(READY) ## Run the tests
-	$(BIN)/python -m pytest --quiet
+test: $(READY) ## Run the tests, on all processors
+	$(BIN)/python -m pytest --quiet --numprocesses auto -m 'not long'
+
+test-long: $(READY) ## Run what make test leaves out: recorded sequences, soaks
+	$(BIN)/python -m pytest --quiet --numprocesses auto -m long
 
 lint: $(READY) ## Check style and format (ruff)
 	$(BIN)/ruff check
@@ -67,6 +71,12 @@ golden: $(READY) ## Write the golden streams anew; every release must still deco
 
 fuzz: $(READY) ## Feed damaged streams to the reader for longer than the tests do
 	THREEDVC_EXAMPLES=5000 $(BIN)/python -m pytest --quiet tests/fuzz tests/property
+
+bench-ci: $(READY) ## Guard speed and size against benchmarks/ci_baseline.json
+	$(BIN)/python benchmarks/ci.py
+
+bench-ci-baseline: $(READY) ## Renew that baseline; commit it with the reason
+	$(BIN)/python benchmarks/ci.py --renew
 
 bench: $(READY) ## Measure speed, memory, quality and tracking, write tables in benchmarks
 	$(BIN)/python benchmarks/speed.py
