@@ -38,7 +38,8 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.model_updates import first_sights
 from threedvc.encoder.rate.trial_coding import color_settings
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.model_view import Thinned, cast_view
+from threedvc.encoder.tracking.frame_resolutions import Downsampled
+from threedvc.encoder.tracking.model_view import raycast_model
 from threedvc.formats.container import StreamWriter
 from threedvc.formats.decoding import decode
 from threedvc.frames.frame import Frame
@@ -157,7 +158,7 @@ def _encoder_stages(sequence: SyntheticSequence, frames: Sequence[Frame]) -> dic
     background, rig = scene.objects[0], sequence.info.rig
     rays, sensor = rig.depth.rays(), scene.sensor_of(0)
     observed = [(observe(frame, rig, rays), pose) for frame, pose in zip(frames, background.poses, strict=True)]
-    everywhere, full = np.ones(frames[0].depth.shape, dtype=bool), Thinned(rig, 1)
+    everywhere, full = np.ones(frames[0].depth.shape, dtype=bool), Downsampled(rig, 1)
     surface, settings = read_surface(background.evidence, 1), color_settings(FILE.color, sequence.info.grey)
 
     def fusion() -> None:
@@ -167,7 +168,7 @@ def _encoder_stages(sequence: SyntheticSequence, frames: Sequence[Frame]) -> dic
 
     def tracking_view() -> None:
         for pose in background.poses:
-            cast_view(background.evidence, full, pose, 1, exact=True)
+            raycast_model(background.evidence, full, pose, 1, exact=True)
 
     def entropy_coding() -> None:
         model = DecodedModel(VOXEL_SIZE_M)

@@ -26,11 +26,11 @@ from rd_points import Recording
 from reporting import commit, markdown_table
 from threedvc.config import Motion
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.metrics.trajectory import object_pose_error, trajectory_error
 from threedvc.parallel import default_threads
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["DISTURBANCES", "Course", "main", "tracked"]
 
@@ -39,8 +39,9 @@ DISTURBED = ("kitchen300",)
 WARM_UP = 3
 """Frames tracked before anything is measured, so that all code is compiled."""
 FIRST, LAST, LAST_REMOVED = 100, 110, 129
-HEADER = ("sequence", "disturbance", "frames", "tracked", "weak", "relocalised", "lost", "ATE mm", "RPE mm", "RPE deg",
-          "object deg", "object mm", "fps, tracking", "fps, all")  # fmt: skip
+COUNTED = (PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.RELOCALISED, PoseStatus.LOST)
+HEADER = ("sequence", "disturbance", "frames", *map(str, COUNTED), "ATE mm", "RPE mm", "RPE deg", "object deg",
+          "object mm", "fps, tracking", "fps, all")  # fmt: skip
 NOTE = """\
 ATE is the root of the mean squared distance of camera positions after alignment, RPE that of the error from frame to
 frame, over all frames that were not lost; of objects the largest median error of turn and place after alignment of
@@ -80,7 +81,7 @@ DISTURBANCES: dict[str, Callable[[Sequence[Frame]], list[Frame]]] = {
 class Course:
     """How tracking went: status of every frame, poses found and true, seconds."""
 
-    status: list[str] = field(default_factory=list)
+    status: list[PoseStatus] = field(default_factory=list)
     camera: list[tuple[Pose, Pose]] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
     objects: dict[int, list[tuple[Pose, Pose]]] = field(default_factory=dict)
@@ -91,7 +92,7 @@ class Course:
         """Return the cells of the table."""
         count, statuses = len(self.status), Counter(self.status)
         cells = [sequence, disturbance, str(count)]
-        cells += [str(statuses[name]) for name in ("tracked", "weak", "relocalised", "lost")]
+        cells += [str(statuses[status]) for status in COUNTED]
         if self.camera:
             true, found = zip(*self.camera, strict=True)
             error = trajectory_error(true, found, self.numbers)
@@ -105,32 +106,9 @@ class Course:
         return [*cells, f"{count / self.tracking_s:.1f}", f"{count / self.seconds:.1f}"]
 
 
-class _TimedScene(Scene):
-    """A scene that measures the time of its registrations."""
-
-    tracking_s = 0.0
-
-    def _object(self, *arguments):  # type: ignore[no-untyped-def]
-        item = super()._object(*arguments)
-        if item is not None and "locate" not in vars(item):
-            item.locate = self._timed(item)
-        return item
-
-    def _timed(self, item: SceneObject):  # type: ignore[no-untyped-def]
-        locate = item.locate
-
-        def timed(*arguments):  # type: ignore[no-untyped-def]
-            began = time.perf_counter()
-            found = locate(*arguments)
-            self.tracking_s += time.perf_counter() - began
-            return found
-
-        return timed
-
-
 def tracked(frames: Sequence[Frame], info: SequenceInfo, recording: Recording) -> Course:
     """Track all frames as the first pass of the encoder does."""
-    scene, course = _TimedScene(info, replace(recording.config, motion=Motion.TRACK)), Course()
+    scene, course = Scene(info, replace(recording.config, motion=Motion.TRACK)), Course()
     for frame in frames:
         began = time.perf_counter()
         course.status.append(scene.add(frame))
@@ -144,7 +122,8 @@ def tracked(frames: Sequence[Frame], info: SequenceInfo, recording: Recording) -
                 course.numbers.append(frame.index)
             elif number in frame.T_camera_object:
                 course.objects.setdefault(number, []).append((frame.T_camera_object[number], at.T_camera_object))
-    course.tracking_s = max(scene.tracking_s, 1e-9)
+    trackers = [item.tracker for item in scene.objects.values() if item.tracker is not None]
+    course.tracking_s = max(sum(tracker.stopwatch.seconds for tracker in trackers), 1e-9)
     return course
 
 

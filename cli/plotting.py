@@ -13,6 +13,7 @@ import click
 
 from threedvc.errors import ConfigError
 from threedvc.formats.outputs import write_output
+from threedvc.stream.pose_status import PoseStatus
 
 if TYPE_CHECKING:
     from threedvc.formats.evaluation.frame_ranges import Span
@@ -22,7 +23,7 @@ __all__ = ["check_plotting", "is_plot", "plot_statistics"]
 
 FORMATS = (".png", ".pdf", ".svg")
 MAKER = b"3dvc stats"
-STATUS_COLORS = {"relocalised": "tab:blue", "weak": "tab:orange", "lost": "tab:red"}
+STATUS_COLORS = {PoseStatus.RELOCALISED: "tab:blue", PoseStatus.WEAK: "tab:orange", PoseStatus.LOST: "tab:red"}
 
 
 def check_plotting(path: Path) -> None:
@@ -84,11 +85,12 @@ def _draw_course(axes: Any, report: StreamStatistics) -> None:
     names = [str(item.id) for item in report.objects]
     for row, item in enumerate(report.objects):
         axes.broken_barh([_stretch(span) for span in item.spans], (row - 0.3, 0.6), color="tab:gray")
-    for status, spans in report.status_spans.items():
+    for name, spans in report.status_spans.items():
+        shade = STATUS_COLORS[PoseStatus(name)]
         for span in spans:
             start, length = _stretch(span)
-            label = status if span is spans[0] else None
-            axes.axvspan(start, start + length, color=STATUS_COLORS[status], alpha=0.4, linewidth=0, label=label)
+            label = name if span is spans[0] else None
+            axes.axvspan(start, start + length, color=shade, alpha=0.4, linewidth=0, label=label)
     if report.status_spans:
         axes.legend(loc="upper right")
     axes.set(xlabel="frame", ylabel="visible object")

@@ -21,6 +21,7 @@ from threedvc.frames.frame import Frame
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.frame_report import FrameReport
 from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["EncodeReport", "encode"]
 
@@ -59,7 +60,7 @@ class EncodeReport(Sequence[FrameReport]):
     @property
     def lost_frames(self) -> tuple[int, ...]:
         """Frames in which an object could not be found."""
-        return tuple(report.index for report in self.reports if report.status == "lost")
+        return tuple(report.index for report in self.reports if report.status is PoseStatus.LOST)
 
     def __len__(self) -> int:
         return len(self.reports)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from threedvc.config import EncoderConfig, Motion
-from threedvc.encoder.tracking.given_poses import measure_agreement
+from threedvc.encoder.tracking.pose_agreement import measure_agreement
 from threedvc.encoder.tracking.pose_completion import SequenceWithPoses, complete_poses
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice

@@ -30,6 +30,7 @@ from threedvc.stream.batch import pack_batch
 from threedvc.stream.frame_report import FrameReport, report_packet
 from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, ObjectHeader, PoseHeader, StreamHeader
 from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.stream.sensor_description import rig_of
 
 __all__ = [
@@ -52,7 +53,7 @@ INFO = SequenceInfo(
 PERIOD_NS = 50_000_000
 STEP = 0.001
 REPORTS = [
-    FrameReport(index=index, timestamp_ns=index * PERIOD_NS, status=status, entropy_bits=bits)
+    FrameReport(index=index, timestamp_ns=index * PERIOD_NS, status=PoseStatus(status), entropy_bits=bits)
     for index, (status, bits) in enumerate([("known", 400.0), ("tracked", 300.0), ("tracked", 250.0), ("lost", 200.0)])
 ]
 

@@ -16,10 +16,11 @@ from threedvc.formats.evaluation.object_comparison import ObjectQuality, Spuriou
 from threedvc.geometry.pose import Pose, quaternion
 from threedvc.metrics.paper_accounting import PaperAccounting
 from threedvc.metrics.trajectory import TrajectoryError, Travel
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["BACKGROUND", "FrameStatistics", "ObjectStatistics", "SensorStatistics", "StreamStatistics"]
 
-NAMED = ("relocalised", "weak", "lost")
+NAMED = (PoseStatus.RELOCALISED, PoseStatus.WEAK, PoseStatus.LOST)
 """Statuses whose frames are named one by one."""
 
 BACKGROUND = 0
@@ -127,7 +128,7 @@ class FrameStatistics:
     T_world_camera: Pose
     visible_objects: int
     entropy_bits: float | None = None
-    status: str | None = None
+    status: PoseStatus | None = None
     sensor: int = 0
     quality: Mapping[str, float] = field(default_factory=dict)
 
@@ -204,12 +205,14 @@ class StreamStatistics:
     @property
     def status(self) -> dict[str, int]:
         """Number of frames by the status of their pose."""
-        return dict(Counter(item.status for item in self.per_frame if item.status is not None))
+        return dict(Counter(item.status.value for item in self.per_frame if item.status is not None))
 
     @property
     def status_spans(self) -> dict[str, tuple[Span, ...]]:
         """Frames whose pose was weak, lost, or found again after it was lost, by status; only those that occur."""
-        spans = {name: spans_of(item.frame for item in self.per_frame if item.status == name) for name in NAMED}
+        spans = {
+            status.value: spans_of(item.frame for item in self.per_frame if item.status is status) for status in NAMED
+        }
         return {name: frames for name, frames in spans.items() if frames}
 
     @property
@@ -258,7 +261,7 @@ class StreamStatistics:
         report: dict[str, Any] = {
             "status": self.status,
             "spans": self.status_spans,
-            "lost_frames": self.status.get("lost", 0) if self.status else None,
+            "lost_frames": self.status.get(PoseStatus.LOST, 0) if self.status else None,
             "travel": None if self.travel is None else asdict(self.travel),
             "poses": [_position_and_turn(item.T_world_camera) for item in self.per_frame],
         }

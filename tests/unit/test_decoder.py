@@ -37,6 +37,7 @@ from threedvc.stream.headers import (
     StreamHeader,
 )
 from threedvc.stream.packets import Packet
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.stream.sensor_description import nearest_multiple, rig_of
 from threedvc.stream.wire import pack_signed_varint
 
@@ -189,7 +190,7 @@ def test_nearest_multiple_rounds_halves_up(frame: int, num: int, den: int) -> No
 
 def test_the_report_is_gathered_wherever_it_stands() -> None:
     told = [
-        FrameReport(index=k, timestamp_ns=k, status=s, entropy_bits=1024.0)
+        FrameReport(index=k, timestamp_ns=k, status=PoseStatus(s), entropy_bits=1024.0)
         for k, s in enumerate(["known", "lost", "weak"])
     ]
     author = Author()
@@ -204,7 +205,7 @@ def test_the_report_is_gathered_wherever_it_stands() -> None:
 
 def test_an_unbounded_report_keeps_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("threedvc.decoder.decoder.MAX_COUNT", 5)
-    told = [FrameReport(index=k, timestamp_ns=k, status="known", entropy_bits=2.0**k) for k in range(4)]
+    told = [FrameReport(index=k, timestamp_ns=k, status=PoseStatus.KNOWN, entropy_bits=2.0**k) for k in range(4)]
     decoder = decoded(*[report_packet(told)] * 3, Author().end(0))
     assert decoder.report.entropy_bits == (1, 2, 4, 8, 1)
     assert len(decoder.report.status) == 5
@@ -320,7 +321,7 @@ def test_the_wrong_digest_comes_after_every_frame() -> None:
 def rich_stream() -> list[tuple[BatchHeader, list[Packet]]]:
     """Return the batches of a stream with every kind of packet."""
     author = Author()
-    told = [FrameReport(index=k, timestamp_ns=k, status="weak", entropy_bits=3.0**k) for k in range(4)]
+    told = [FrameReport(index=k, timestamp_ns=k, status=PoseStatus.WEAK, entropy_bits=3.0**k) for k in range(4)]
     first = [
         author.object(0),
         author.object(1),

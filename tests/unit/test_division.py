@@ -17,12 +17,12 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.segmentation.downsampling import Reduction
 from threedvc.encoder.segmentation.sequence_labels import NOTHING, Division
-from threedvc.encoder.tracking.pose_track import UNSEEN
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.stream.packets import Packet
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 CONFIG = EncoderConfig(
@@ -154,7 +154,7 @@ def test_a_thing_that_left_is_out_of_the_picture_and_the_same_when_it_comes_back
     for frame in frames:
         scene.add(frame)
     assert sorted(scene.objects) == [0, 1]
-    gone = [at is not None and at.status == UNSEEN for at in scene.objects[1].found]
+    gone = [at is not None and at.status is PoseStatus.UNSEEN for at in scene.objects[1].found]
     assert all(gone[25:31])
     assert not any(gone[:8])
     assert not any(gone[50:])

@@ -26,6 +26,7 @@ from threedvc.stream.batch import unpack_batch
 from threedvc.stream.frame_report import FrameReport
 from threedvc.stream.headers import BatchHeader, ClockHeader, ObjectHeader, PoseHeader
 from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.pose_status import PoseStatus
 
 RIG = CameraRig.registered_to(Camera(width=8, height=6, fx=10, fy=10, cx=3.5, cy=2.5))
 INFO = SequenceInfo(name="script", rig=RIG, depth_scale=1000.0, fps=30.0, frame_count=None)
@@ -267,7 +268,7 @@ def test_an_endless_rest_is_broken_in_time_for_readers(monkeypatch: pytest.Monke
 def test_reports_travel_with_the_batch() -> None:
     scene = scene_of({0: still(4)})
     packetizer = Packetizer(scene, EncoderConfig())
-    told = [FrameReport(index=k, timestamp_ns=k, status="known", entropy_bits=64.0) for k in range(4)]
+    told = [FrameReport(index=k, timestamp_ns=k, status=PoseStatus.KNOWN, entropy_bits=64.0) for k in range(4)]
     batch = packetizer.batch(0, 4, told, last=True)
     assert batch is not None
     decoder = Decoder()

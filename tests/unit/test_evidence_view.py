@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from threedvc.config import FusionConfig, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.tracking.model_view import TRACKING_PIXELS, FrameViews, Thinned, cast_view
+from threedvc.encoder.tracking.frame_resolutions import TRACKING_PIXELS, Downsampled, FrameResolutions
+from threedvc.encoder.tracking.model_view import raycast_model
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera, CameraRig
@@ -52,7 +53,7 @@ def moved(turn: tuple[float, float, float], shift: tuple[float, float, float]) -
 
 
 def test_a_wall_is_seen_where_it_is() -> None:
-    view = cast_view(model_of(wall), Thinned(RIG), identity(), 1)
+    view = raycast_model(model_of(wall), Downsampled(RIG), identity(), 1)
     known = view.depth > 0
     inner = np.s_[6:-6, 6:-6]
     assert known[inner].mean() > 0.95
@@ -68,7 +69,7 @@ def test_a_wall_is_seen_where_it_is() -> None:
 
 def test_a_wall_is_seen_from_elsewhere() -> None:
     T = moved((0.05, -0.15, 0.2), (0.1, 0.05, 0.2))
-    view = cast_view(model_of(wall), Thinned(RIG), T, 1)
+    view = raycast_model(model_of(wall), Downsampled(RIG), T, 1)
     v, u = np.nonzero(view.depth)
     assert len(v) > 1000
     points = np.column_stack([CAMERA.rays()[v, u], np.ones(len(v))]) * view.depth[v, u][:, None]
@@ -79,7 +80,7 @@ def test_a_wall_is_seen_from_elsewhere() -> None:
 
 
 def test_a_ball_is_round() -> None:
-    view = cast_view(model_of(ball), Thinned(RIG), identity(), 1)
+    view = raycast_model(model_of(ball), Downsampled(RIG), identity(), 1)
     known = view.depth > 0
     assert np.count_nonzero(known) > 0.4 * np.count_nonzero(ball(CAMERA.rays()))
     points = np.concatenate([CAMERA.rays(), np.ones((48, 60, 1))], axis=-1)[known] * view.depth[known][:, None]
@@ -95,7 +96,10 @@ def table(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_what_is_seen_at_a_flat_angle_once_is_in_the_view() -> None:
-    view, expected = cast_view(model_of(table, views=1), Thinned(RIG, flat=True), identity(), 1), table(CAMERA.rays())
+    view, expected = (
+        raycast_model(model_of(table, views=1), Downsampled(RIG, flat=True), identity(), 1),
+        table(CAMERA.rays()),
+    )
     known, inner = view.depth > 0, cv2.erode((expected > 0).astype(np.uint8), np.ones((7, 7))) > 0
     assert np.count_nonzero(known & inner) > 0.8 * np.count_nonzero(inner)
     assert np.quantile(np.abs(view.depth - expected)[known & inner], 0.99) < CELL
@@ -104,7 +108,7 @@ def test_what_is_seen_at_a_flat_angle_once_is_in_the_view() -> None:
 
 
 def test_normals_are_of_unit_length_and_face_the_camera() -> None:
-    view = cast_view(model_of(ball), Thinned(RIG), moved((0, 0.3, 0), (-0.3, 0, 0.1)), 1)
+    view = raycast_model(model_of(ball), Downsampled(RIG), moved((0, 0.3, 0), (-0.3, 0, 0.1)), 1)
     known = view.depth > 0
     np.testing.assert_allclose(np.linalg.norm(view.normals[known], axis=1), 1, atol=1e-5)
     rays = np.concatenate([CAMERA.rays(), np.ones((48, 60, 1))], axis=-1)[known]
@@ -114,47 +118,47 @@ def test_normals_are_of_unit_length_and_face_the_camera() -> None:
 
 def test_the_back_of_a_surface_is_not_seen() -> None:
     behind = moved((0, np.pi, 0), (0, 0, 2.5))
-    assert not cast_view(model_of(wall), Thinned(RIG), behind, 1).depth.any()
+    assert not raycast_model(model_of(wall), Downsampled(RIG), behind, 1).depth.any()
 
 
 @pytest.mark.parametrize(
     "pose", [moved((0, np.pi, 0), (0, 0, 0)), moved((0, 0, 0), (50, 0, 0))], ids=["turned", "away"]
 )
 def test_nothing_in_sight(pose: Pose) -> None:
-    view = cast_view(model_of(wall), Thinned(RIG), pose, 1)
+    view = raycast_model(model_of(wall), Downsampled(RIG), pose, 1)
     assert not view.depth.any()
-    assert not cast_view(EvidenceModel(CELL), Thinned(RIG), identity(), 1).depth.any()
+    assert not raycast_model(EvidenceModel(CELL), Downsampled(RIG), identity(), 1).depth.any()
 
 
 def test_luma_of_the_picture_comes_back() -> None:
     ramp = np.tile((40 + 3 * np.arange(60, dtype=np.uint8))[None, :, None], (48, 1, 3))
-    view = cast_view(model_of(wall, color=ramp), Thinned(RIG), identity(), 1)
+    view = raycast_model(model_of(wall, color=ramp), Downsampled(RIG), identity(), 1)
     known = view.depth > 0
     np.testing.assert_allclose(view.intensity[known], ramp[..., 0][known], atol=4)
 
 
 def test_threads_do_not_matter() -> None:
-    model, thinned = model_of(ball), Thinned(RIG)
-    one, three = (cast_view(model, thinned, moved((0.1, 0.2, 0), (0, 0, 0.1)), threads) for threads in (1, 3))
+    model, downsampled = model_of(ball), Downsampled(RIG)
+    one, three = (raycast_model(model, downsampled, moved((0.1, 0.2, 0), (0, 0, 0.1)), threads) for threads in (1, 3))
     for name in ("depth", "normals", "intensity"):
         np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
 
 
 def test_small_pictures_are_taken_whole() -> None:
-    thinned = Thinned(RIG)
-    assert (thinned.stride, thinned.camera) == (1, CAMERA)
+    downsampled = Downsampled(RIG)
+    assert (downsampled.stride, downsampled.camera) == (1, CAMERA)
 
 
 @pytest.mark.parametrize("size", [(640, 480), (641, 479), (1920, 1080)])
-def test_large_pictures_are_thinned_to_rays_of_their_own(size: tuple[int, int]) -> None:
+def test_large_pictures_are_downsampled_to_rays_of_their_own(size: tuple[int, int]) -> None:
     camera = Camera(width=size[0], height=size[1], fx=500.0, fy=510.0, cx=300.0, cy=200.0, distortion=(0.1, 0, 0, 0, 0))
-    thinned = Thinned(CameraRig.registered_to(camera))
-    n = thinned.stride
+    downsampled = Downsampled(CameraRig.registered_to(camera))
+    n = downsampled.stride
     assert n > 1
-    assert thinned.camera.width * thinned.camera.height <= 1.02 * TRACKING_PIXELS
+    assert downsampled.camera.width * downsampled.camera.height <= 1.02 * TRACKING_PIXELS
     picture = np.zeros((size[1], size[0]), dtype=np.float32)
-    assert thinned.thin(picture).shape == (thinned.camera.height, thinned.camera.width)
-    np.testing.assert_allclose(thinned.camera.rays(), camera.rays()[::n, ::n], atol=1e-9)
+    assert downsampled.downsample(picture).shape == (downsampled.camera.height, downsampled.camera.width)
+    np.testing.assert_allclose(downsampled.camera.rays(), camera.rays()[::n, ::n], atol=1e-9)
 
 
 def test_small_objects_are_seen_at_every_pixel_and_large_ones_at_some() -> None:
@@ -163,18 +167,18 @@ def test_small_objects_are_seen_at_every_pixel_and_large_ones_at_some() -> None:
     color = np.zeros((480, 640, 3), dtype=np.uint8)
     color[100:200, 100:200] = 200
     frame = Frame(index=0, timestamp_ns=0, color=color, depth=np.ones((480, 640), dtype=np.float32))
-    full, thinned = Thinned(rig, 1), Thinned(rig)
-    assert (full.stride, thinned.stride > 1) == (1, True)
-    views = FrameViews(frame, full, thinned)
+    full, downsampled = Downsampled(rig, 1), Downsampled(rig)
+    assert (full.stride, downsampled.stride > 1) == (1, True)
+    views = FrameResolutions(frame, full, downsampled)
     small = np.zeros((480, 640), dtype=bool)
     small[100:150, 100:200] = True
-    assert views.form(small) is full
-    assert views.form(np.ones((480, 640), dtype=bool)) is thinned
-    for form in (full, thinned):
-        luma = views.luma(form)
-        assert luma.shape == (form.camera.height, form.camera.width)
+    assert views.resolution(small) is full
+    assert views.resolution(np.ones((480, 640), dtype=bool)) is downsampled
+    for resolution in (full, downsampled):
+        luma = views.luma(resolution)
+        assert luma.shape == (resolution.camera.height, resolution.camera.width)
         assert luma.max() == pytest.approx(200)
-        assert views.luma(form) is luma
+        assert views.luma(resolution) is luma
 
 
 def test_luma_of_a_colour_camera_apart_is_looked_up_through_the_depth() -> None:
@@ -186,7 +190,7 @@ def test_luma_of_a_colour_camera_apart_is_looked_up_through_the_depth() -> None:
     x = color_camera.rays()[..., 0] * 1.5 - 0.1
     shade = 120 + 60 * x
     color = np.repeat(np.rint(shade)[..., None], 3, axis=-1).astype(np.uint8)
-    luma = Thinned(rig).luma(Frame(index=0, timestamp_ns=0, color=color, depth=depth))
+    luma = Downsampled(rig).luma(Frame(index=0, timestamp_ns=0, color=color, depth=depth))
     expected = 120 + 60 * CAMERA.rays()[..., 0] * 1.5
     known = np.isfinite(luma)
     assert not known[10:14, 20:24].any()
@@ -200,7 +204,7 @@ def test_a_sparse_view_is_about_the_same(shape: Depth) -> None:
         shape, color=np.repeat(np.arange(48 * 60, dtype=np.uint32).reshape(48, 60, 1) % 250, 3, 2).astype(np.uint8)
     )
     pose = moved((0.05, 0.1, 0), (-0.1, 0, 0.05))
-    dense, sparse = (cast_view(model, Thinned(RIG, sparse=choice), pose, 1) for choice in (False, True))
+    dense, sparse = (raycast_model(model, Downsampled(RIG, sparse=choice), pose, 1) for choice in (False, True))
     cast = np.zeros((48, 60), dtype=np.bool_)
     cast[::2, ::2] = True
     np.testing.assert_array_equal(sparse.depth[cast], dense.depth[cast])
@@ -213,13 +217,16 @@ def test_a_sparse_view_is_about_the_same(shape: Depth) -> None:
 
 def test_large_views_are_sparse_unless_it_is_said_otherwise() -> None:
     large = CameraRig.registered_to(CAMERA.resized(320, 240))
-    assert len(Thinned(large).even) < len(Thinned(large).grid.slopes) / 3
-    assert len(Thinned(large, sparse=False).even) == 320 * 240
-    assert len(Thinned(RIG).even) == 48 * 60
+    assert len(Downsampled(large).even) < len(Downsampled(large).grid.slopes) / 3
+    assert len(Downsampled(large, sparse=False).even) == 320 * 240
+    assert len(Downsampled(RIG).even) == 48 * 60
 
 
 def test_an_exact_view_is_not_sparse() -> None:
-    model, form = model_of(ball), Thinned(RIG, sparse=True)
-    exact, dense = cast_view(model, form, identity(), 1, exact=True), cast_view(model, Thinned(RIG), identity(), 1)
+    model, resolution = model_of(ball), Downsampled(RIG, sparse=True)
+    exact, dense = (
+        raycast_model(model, resolution, identity(), 1, exact=True),
+        raycast_model(model, Downsampled(RIG), identity(), 1),
+    )
     np.testing.assert_array_equal(exact.depth, dense.depth)
     np.testing.assert_array_equal(exact.normals, dense.normals)

@@ -14,8 +14,9 @@ from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.pose_track import UNSEEN, Located, along_with_the_room
+from threedvc.encoder.tracking.pose_track import TrackedPose, carry_resting_objects
 from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES, SIZE, RADIUS_M = 16, (96, 72), 0.45
@@ -73,15 +74,15 @@ def test_what_is_out_of_sight_stays_in_the_room() -> None:
     for frame in HIDDEN:
         at = found[frame]
         assert at is not None
-        assert at.status == UNSEEN
+        assert at.status is PoseStatus.UNSEEN
         np.testing.assert_allclose(places[frame], places[HIDDEN.start - 1], atol=1e-9)
     camera = scene.objects[0].poses
     assert np.linalg.norm(camera[HIDDEN.stop][:3, 3] - camera[HIDDEN.start][:3, 3]) > 0.01
 
 
-def at(shift_m: float, turn: float = 0.0, status: str = "tracked") -> Located:
+def at(shift_m: float, turn: float = 0.0, status: PoseStatus = PoseStatus.TRACKED) -> TrackedPose:
     pose = make_pose(rotation_from_vector(np.array([0.0, turn, 0.0])), np.array([shift_m, 0.0, 1.0]))
-    return Located(T_camera_object=pose, status=status)
+    return TrackedPose(T_camera_object=pose, status=status)
 
 
 def test_a_new_path_of_the_camera_takes_along_what_rests() -> None:
@@ -89,12 +90,12 @@ def test_a_new_path_of_the_camera_takes_along_what_rests() -> None:
     rests = [compose(inverse(old[0].T_camera_object), at(0.3).T_camera_object)] * 5
     moves = [compose(rests[0], make_pose(np.eye(3), np.array([0.0, 0.05 * k, 0.0]))) for k in range(5)]
 
-    def seen(places: list[NDArray[np.float64]], status: str = "tracked") -> list[Located]:
+    def seen(places: list[NDArray[np.float64]], status: PoseStatus = PoseStatus.TRACKED) -> list[TrackedPose]:
         pairs = zip(old, places, strict=True)
-        return [Located(T_camera_object=camera.T_camera_object @ place, status=status) for camera, place in pairs]
+        return [TrackedPose(T_camera_object=camera.T_camera_object @ place, status=status) for camera, place in pairs]
 
-    before = {0: old, 1: seen(rests), 2: seen(moves), 3: seen(rests, "known"), 4: [None, *seen(rests)[1:]]}
-    after = along_with_the_room(before | {0: new}, before)
+    before = {0: old, 1: seen(rests), 2: seen(moves), 3: seen(rests, PoseStatus.KNOWN), 4: [None, *seen(rests)[1:]]}
+    after = carry_resting_objects(before | {0: new}, before)
     places = [
         inverse(camera.T_camera_object) @ each.T_camera_object for camera, each in zip(new, after[1], strict=True)
     ]
@@ -104,4 +105,4 @@ def test_a_new_path_of_the_camera_takes_along_what_rests() -> None:
     assert after[3] == before[3]
     assert after[4][0] is None
     still = {0: [at(0.0)] * 5, 1: seen(rests)}
-    assert along_with_the_room(still, still)[1] == still[1]
+    assert carry_resting_objects(still, still)[1] == still[1]

@@ -11,7 +11,7 @@ import pytest
 
 from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion
-from threedvc.encoder.tracking.given_poses import PoseAgreement, measure_agreement
+from threedvc.encoder.tracking.pose_agreement import PoseAgreement, measure_agreement
 from threedvc.encoder.tracking.pose_completion import complete_poses
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.formats.pose_check import settle_poses

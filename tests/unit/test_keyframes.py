@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threedvc.encoder.tracking import relocalisation as keyframes_module
+from threedvc.encoder.tracking import relocalisation
 from threedvc.encoder.tracking.relocalisation import Keyframes
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -29,7 +29,7 @@ def pose_of(frame: int) -> Pose:
 def kept(*numbers: int) -> Keyframes:
     keyframes = Keyframes(ROOM.info.rig)
     for number in numbers:
-        keyframes.note(ROOM[number], everywhere(number), pose_of(number))
+        keyframes.add(ROOM[number], everywhere(number), pose_of(number))
     return keyframes
 
 
@@ -40,14 +40,14 @@ def assert_near(found: Pose, frame: int) -> None:
 
 
 def test_a_frame_is_found_among_keyframes_without_a_guess() -> None:
-    sights = kept(0, 12, 24).find(ROOM[13])
-    assert sights
-    assert_near(sights[0].T_camera_object, 13)
+    hypotheses = kept(0, 12, 24).query(ROOM[13])
+    assert hypotheses
+    assert_near(hypotheses[0].T_camera_object, 13)
 
 
 def test_depth_is_not_needed() -> None:
     blind = replace(ROOM[13], depth=np.zeros_like(ROOM[13].depth))
-    assert_near(kept(0, 12, 24).find(blind)[0].T_camera_object, 13)
+    assert_near(kept(0, 12, 24).query(blind)[0].T_camera_object, 13)
 
 
 def test_frames_from_about_the_same_place_are_kept_once() -> None:
@@ -56,33 +56,33 @@ def test_frames_from_about_the_same_place_are_kept_once() -> None:
 
 
 def test_features_of_other_pixels_do_not_count() -> None:
-    assert not kept(0, 12, 24).find(ROOM[13], np.zeros_like(everywhere(13)))
+    assert not kept(0, 12, 24).query(ROOM[13], np.zeros_like(everywhere(13)))
 
 
 def test_nothing_is_found_where_there_is_nothing() -> None:
     keyframes = kept(0, 12)
     dark = replace(ROOM[13], color=np.zeros_like(ROOM[13].color))
-    assert not keyframes.find(dark)
-    keyframes.note(dark, everywhere(13), pose_of(13) @ pose_of(29))
+    assert not keyframes.query(dark)
+    keyframes.add(dark, everywhere(13), pose_of(13) @ pose_of(29))
     assert len(keyframes) == len(kept(0, 12))
     noise = np.random.default_rng(0).integers(0, 256, dark.color.shape, dtype=np.uint8)
-    assert not keyframes.find(replace(dark, color=noise))
-    assert not Keyframes(ROOM.info.rig).find(ROOM[3])
+    assert not keyframes.query(replace(dark, color=noise))
+    assert not Keyframes(ROOM.info.rig).query(ROOM[3])
 
 
 def test_a_frame_without_depth_is_not_kept() -> None:
     keyframes = Keyframes(ROOM.info.rig)
-    keyframes.note(replace(ROOM[0], depth=np.zeros_like(ROOM[0].depth)), everywhere(0), pose_of(0))
+    keyframes.add(replace(ROOM[0], depth=np.zeros_like(ROOM[0].depth)), everywhere(0), pose_of(0))
     assert len(keyframes) == 0
 
 
 def test_of_many_keyframes_the_most_alike_are_matched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keyframes_module, "MAX_TRIED", 1)
+    monkeypatch.setattr(relocalisation, "MAX_TRIED", 1)
     few = kept(0, 29)
     assert len(few) == 2
-    assert_near(few.find(ROOM[0])[0].T_camera_object, 0)
+    assert_near(few.query(ROOM[0])[0].T_camera_object, 0)
     brighter = replace(ROOM[29], color=(ROOM[29].color // 2 + 90).astype(np.uint8))
-    assert_near(few.find(brighter)[0].T_camera_object, 29)
+    assert_near(few.query(brighter)[0].T_camera_object, 29)
 
 
 def test_a_thinned_depth_picture_lifts_features_to_about_their_points() -> None:

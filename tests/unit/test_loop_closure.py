@@ -11,9 +11,10 @@ import pytest
 from threedvc.config import EncoderConfig, Motion
 from threedvc.encoder.reconstruction.loop_closure import MAX_KEYFRAMES, closed_loops, corrected, key_numbers
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.pose_track import Located
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_from_vector
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=40, size=(160, 120)))
@@ -32,7 +33,7 @@ def drifted(true: list[Pose]) -> list[Pose]:
 
 
 def scene_at(frames: list[Frame], poses: list[Pose]) -> Scene:
-    script = [Located(T_camera_object=inverse(pose), status="tracked") for pose in poses]
+    script = [TrackedPose(T_camera_object=inverse(pose), status=PoseStatus.TRACKED) for pose in poses]
     info = replace(ROOM.info, has_camera_poses=False)
     scene = Scene(info, EncoderConfig(motion=Motion.TRACK), {0: script})
     for frame in frames:
@@ -40,7 +41,7 @@ def scene_at(frames: list[Frame], poses: list[Pose]) -> Scene:
     return scene
 
 
-def errors(found: list[Located | None], true: list[Pose]) -> np.ndarray:
+def errors(found: list[TrackedPose | None], true: list[Pose]) -> np.ndarray:
     return np.array([np.linalg.norm((at.T_camera_object @ T)[:3, 3]) for at, T in zip(found, true, strict=True) if at])
 
 
@@ -76,13 +77,15 @@ def test_a_short_path_has_no_loop(frames: list[Frame]) -> None:
 
 
 def test_frames_between_are_corrected_by_shares() -> None:
-    found: list[Located | None] = [Located(T_camera_object=identity(), status="tracked") for _ in range(7)]
-    found[2], found[3] = None, Located(T_camera_object=identity(), status="weak", part=2)
+    found: list[TrackedPose | None] = [
+        TrackedPose(T_camera_object=identity(), status=PoseStatus.TRACKED) for _ in range(7)
+    ]
+    found[2], found[3] = None, TrackedPose(T_camera_object=identity(), status=PoseStatus.WEAK, submap=2)
     shift = make_pose(np.eye(3), np.array([0.0, 0.4, 0.0]))
     result = corrected(found, {1: identity(), 5: shift})
     assert result[2] is None
     assert result[3] is not None
-    assert (result[3].status, result[3].part) == ("weak", 2)
+    assert (result[3].status, result[3].submap) == (PoseStatus.WEAK, 2)
     heights = [None if at is None else inverse(at.T_camera_object)[1, 3] for at in result]
     assert heights == [0.0, 0.0, None, pytest.approx(0.2), pytest.approx(0.3), pytest.approx(0.4), pytest.approx(0.4)]
 

@@ -11,13 +11,15 @@ import pytest
 from threedvc.config import FusionConfig, Motion, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.tracking.model_view import FrameViews, Thinned
-from threedvc.encoder.tracking.pose_track import Located, known_pose, motion_of
+from threedvc.encoder.tracking.frame_resolutions import Downsampled, FrameResolutions, ObjectView
+from threedvc.encoder.tracking.given_poses import known_pose, motion_of
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.pose import compose, identity, inverse, make_pose, rotation_angle
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 ROOM = SyntheticSequence(make_scene("room", frames=6, size=(96, 72)))
@@ -84,9 +86,19 @@ def test_the_object_of_a_depth_threshold_is_the_only_one_there_is() -> None:
     assert known_pose(1, frame_with({}), True) is None
 
 
-@pytest.mark.parametrize(("status", "usable"), [("known", True), ("tracked", True), ("weak", True), ("lost", False)])
-def test_only_what_is_lost_is_not_fused(status: str, usable: bool) -> None:
-    assert Located(T_camera_object=identity(), status=status).usable is usable
+@pytest.mark.parametrize(
+    ("status", "usable"),
+    [
+        (PoseStatus.KNOWN, True),
+        (PoseStatus.TRACKED, True),
+        (PoseStatus.RELOCALISED, True),
+        (PoseStatus.WEAK, True),
+        (PoseStatus.LOST, False),
+        (PoseStatus.UNSEEN, False),
+    ],
+)
+def test_only_what_is_lost_or_unseen_is_not_fused(status: PoseStatus, usable: bool) -> None:
+    assert TrackedPose(T_camera_object=identity(), status=status).usable is usable
 
 
 class Follower:
@@ -94,26 +106,26 @@ class Follower:
 
     def __init__(self) -> None:
         self.rig = ROOM.info.rig
-        self.full = Thinned(self.rig, 1)
+        self.full = Downsampled(self.rig, 1)
         self.tracker = Tracker(IDEAL, 1)
         self.model = EvidenceModel(0.04)
         self.mask = np.ones((72, 96), dtype=bool)
 
-    def start(self, frame: Frame, number: int = 0) -> Located:
-        found = self.tracker.start(self.views(frame), self.mask, number, self.rig)
+    def start(self, frame: Frame, number: int = 0) -> TrackedPose:
+        found = self.tracker.start(self.view(frame), number, self.rig)
         self.fuse(frame, found)
         return found
 
-    def follow(self, frame: Frame) -> Located:
-        found = self.tracker.locate(self.views(frame), self.mask, self.model)
+    def follow(self, frame: Frame) -> TrackedPose:
+        found = self.tracker.locate([self.view(frame)], self.model)
         if found.usable:
             self.fuse(frame, found)
         return found
 
-    def views(self, frame: Frame) -> FrameViews:
-        return FrameViews(frame, self.full, self.full)
+    def view(self, frame: Frame) -> ObjectView:
+        return ObjectView(FrameResolutions(frame, self.full, self.full), self.mask)
 
-    def fuse(self, frame: Frame, at: Located) -> None:
+    def fuse(self, frame: Frame, at: TrackedPose) -> None:
         seen = observe(frame, self.rig, self.rig.depth.rays())
         fuse(self.model, seen, self.mask, at.T_camera_object, IDEAL, FusionConfig(), 1)
 
@@ -142,7 +154,7 @@ def test_follows_a_hand_held_camera() -> None:
     assert start is not None
     for frame in frames[1:]:
         found = follower.follow(frame)
-        assert found.status == "tracked"
+        assert found.status is PoseStatus.TRACKED
         assert frame.T_world_camera is not None
         error = compose(found.T_camera_object, compose(inverse(start), frame.T_world_camera))
         assert rotation_angle(error) < 0.01
@@ -165,13 +177,13 @@ def test_a_frame_that_shows_something_else_is_lost_at_the_pace_so_far_and_the_ne
     clutter = rng.uniform(0.3, 3.0, frames[2].depth.shape).astype(np.float32)
     strange = replace(frames[2], depth=clutter, color=rng.integers(0, 256, frames[2].color.shape, dtype=np.uint8))
     lost = follower.follow(strange)
-    assert lost.status == "lost"
+    assert lost.status is PoseStatus.LOST
     np.testing.assert_allclose(lost.T_camera_object, before.T_camera_object @ before.T_camera_object, atol=1e-9)
-    assert follower.follow(frames[3]).status == "tracked"
+    assert follower.follow(frames[3]).status is PoseStatus.TRACKED
 
 
 def test_a_frame_without_depth_is_lost() -> None:
     follower = Follower()
     follower.start(ROOM[0])
     blind = replace(ROOM[1], depth=np.zeros_like(ROOM[1].depth))
-    assert follower.follow(blind).status == "lost"
+    assert follower.follow(blind).status is PoseStatus.LOST

@@ -8,11 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.geometry.pose import (
+    adjoint,
     compose,
+    exp_motion,
     identity,
     inverse,
     is_rigid,
+    log_motion,
     make_pose,
+    nearest_rotation,
     quaternion,
     rotation_angle,
     rotation_from_quaternion,
@@ -76,3 +80,21 @@ def test_rigid(pose: NDArray[np.float64]) -> None:
 )
 def test_not_rigid(pose: NDArray[np.float64]) -> None:
     assert not is_rigid(pose)
+
+
+def test_twist_of_a_motion() -> None:
+    twist = np.array([0.1, -0.2, 0.3, 1.0, 2.0, 3.0])
+    motion = exp_motion(twist)
+    np.testing.assert_array_equal(motion[:3, 3], [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(log_motion(motion), twist, atol=1e-12)
+
+
+def test_adjoint_takes_a_small_motion_to_another_frame() -> None:
+    T_a_b, twist = make_pose(QUARTER_Z, np.array([1.0, 2.0, 3.0])), 1e-6 * np.array([1.0, -2.0, 3.0, 0.5, 1.0, -1.0])
+    in_b, in_a = compose(T_a_b, exp_motion(twist)), compose(exp_motion(adjoint(T_a_b) @ twist), T_a_b)
+    np.testing.assert_allclose(in_a, in_b, atol=1e-10)
+
+
+def test_nearest_rotation_is_no_mirror() -> None:
+    np.testing.assert_allclose(nearest_rotation(3.0 * QUARTER_Z), QUARTER_Z, atol=1e-12)
+    assert np.linalg.det(nearest_rotation(np.diag([3.0, 2.0, -1.0]))) == pytest.approx(1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from threedvc.encoder.reconstruction.pose_graph import Link, optimised
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector, twist_of
+from threedvc.geometry.pose import Pose, compose, inverse, log_motion, make_pose, rotation_angle, rotation_from_vector
 
 SURE = np.diag([1e6] * 3 + [1e6] * 3)
 
@@ -83,5 +83,5 @@ def test_without_links_nothing_moves(count: int) -> None:
 
 
 def test_twist_of_a_small_motion() -> None:
-    twist = twist_of(motion((0.01, -0.02, 0.03), (1, 2, 3)))
+    twist = log_motion(motion((0.01, -0.02, 0.03), (1, 2, 3)))
     np.testing.assert_allclose(twist, [0.01, -0.02, 0.03, 1, 2, 3], atol=1e-9)

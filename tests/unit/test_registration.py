@@ -13,20 +13,22 @@ from numpy.typing import NDArray
 import reference_registration as reference
 from reference_registration import ROOM, WALL, Box, Planes, Sphere, draw
 from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.initial_poses import feature_start, other_starts, predict, register_from_starts
+from threedvc.encoder.tracking.initial_poses import initial_poses, pose_from_features, predict, register_multi_start
 from threedvc.encoder.tracking.registration import (
+    DepthSample,
     ModelView,
     Registration,
     RegistrationConfig,
-    Status,
-    frame_view,
+    RegistrationProblem,
+    is_stationary,
     register,
-    rests,
+    view_of_frame,
 )
 from threedvc.errors import ConfigError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, identity, inverse, is_rigid, make_pose, rotation_angle, rotation_from_vector
 from threedvc.kernels.encoder import registration as kernels
+from threedvc.stream.pose_status import PoseStatus
 
 CAMERA = Camera(width=160, height=120, fx=130.0, fy=132.0, cx=80.3, cy=59.2)
 LENS = replace(CAMERA, distortion=(0.25, -0.9, -0.005, 0.003, 1.1))
@@ -43,11 +45,21 @@ def moved(rotation: tuple[float, float, float], translation: tuple[float, float,
     return make_pose(rotation_from_vector(np.array(rotation)), np.array(translation))
 
 
+def sample_of(seen: ModelView, mask: NDArray[np.bool_] | None = None) -> DepthSample:
+    return DepthSample(depth=seen.depth, luma=seen.intensity, mask=mask, camera=seen.camera)
+
+
+def problem(
+    seen: ModelView, view: ModelView, mask: NDArray[np.bool_] | None = None, **options: Any
+) -> RegistrationProblem:
+    config = RegistrationConfig(**options)
+    return RegistrationProblem(sample=sample_of(seen, mask), view=view, sigma_m=noise, config=config)
+
+
 def run(
     seen: ModelView, view: ModelView, guess: Pose, mask: NDArray[np.bool_] | None = None, **options: Any
 ) -> Registration:
-    config = RegistrationConfig(**options)
-    return register(seen.depth, seen.intensity, mask, seen.camera, view, guess, sigma_m=noise, config=config)
+    return register(problem(seen, view, mask, **options), guess)
 
 
 def errors(found: Pose, true: Pose, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[float, float]:
@@ -59,7 +71,7 @@ def errors(found: Pose, true: Pose, centre: tuple[float, float, float] = (0.0, 0
 
 def assert_found(result: Registration, true: Pose, *, mm: float = 1.0, degrees: float = 0.1) -> None:
     shift, turn = errors(result.T_camera_object, true, (0.0, 0.0, 1.5) if true[2, 3] < 0.5 else (0.0, 0.0, 0.0))
-    assert result.status is Status.TRACKED
+    assert result.status is PoseStatus.TRACKED
     assert shift < mm
     assert turn < degrees
 
@@ -92,7 +104,7 @@ class TestRecovery:
         result = run(draw(CAMERA, true, shape), draw(CAMERA, start, shape), start)
         assert_found(result, true, degrees=0.3)
         plain = run(draw(CAMERA, true, shape, plain=True), draw(CAMERA, start, shape, plain=True), start)
-        assert plain.status is Status.WEAK
+        assert plain.status is PoseStatus.WEAK
         assert rotation_angle(plain.T_camera_object @ inverse(start)) < 1e-3
 
     def test_noise_averages_out(self, rng: np.random.Generator) -> None:
@@ -140,7 +152,7 @@ class TestDegenerate:
     def test_plain_wall_does_not_slide(self, rng: np.random.Generator) -> None:
         seen = noisy(draw(CAMERA, moved((0.02, -0.01, 0.0), (0.0, 0.0, 0.03)), WALL, plain=True), rng)
         result = run(seen, draw(CAMERA, identity(), WALL, plain=True), identity())
-        assert result.status is Status.WEAK
+        assert result.status is PoseStatus.WEAK
         assert result.conditioning < RegistrationConfig().min_conditioning
         assert np.abs(result.T_camera_object @ [0.0, 0.0, 1.5, 1.0] - [0.0, 0.0, 1.53, 1.0]).max() < 0.001
         assert abs(result.T_camera_object[1, 0]) < 1e-3
@@ -149,7 +161,7 @@ class TestDegenerate:
 
     def test_wall_seen_by_noise_alone_keeps_the_prediction(self, rng: np.random.Generator) -> None:
         first, second = (noisy(draw(CAMERA, identity(), WALL, plain=True), rng) for _ in range(2))
-        view = frame_view(first.depth, first.intensity, None, CAMERA, identity(), reach=4)
+        view = view_of_frame(sample_of(first), identity(), reach=4)
         guess = moved((0.0, 0.0, 0.01), (0.02, -0.01, 0.0))
         result = run(second, view, guess)
         shift, _ = errors(result.T_camera_object, guess, (0.0, 0.0, 1.5))
@@ -164,13 +176,13 @@ class TestDegenerate:
         true, guess = moved((0.0, 0.01, 0.01), (0.02, 0.01, 0.05)), moved((0, 0, 0), (0.0, 0.0, 0.01))
         view = draw(CAMERA, identity(), corridor, plain=True)
         result = run(draw(CAMERA, true, corridor, plain=True), view, guess)
-        assert result.status is Status.WEAK
+        assert result.status is PoseStatus.WEAK
         np.testing.assert_allclose(result.T_camera_object[:3, 3], [0.02, 0.01, 0.01], atol=0.002)
 
 
 class TestFailure:
     def assert_lost(self, result: Registration, guess: Pose) -> None:
-        assert result.status is Status.LOST
+        assert result.status is PoseStatus.LOST
         np.testing.assert_array_equal(result.T_camera_object, guess)
 
     def test_nothing_measured(self) -> None:
@@ -194,23 +206,23 @@ class TestFailure:
 
     def test_implausible_jump(self) -> None:
         view, seen = draw(CAMERA, identity(), ROOM), draw(CAMERA, MOTION, ROOM)
-        assert run(seen, view, identity()).status is Status.TRACKED
+        assert run(seen, view, identity()).status is PoseStatus.TRACKED
         self.assert_lost(run(seen, view, identity(), max_turn_rad=0.01), identity())
         self.assert_lost(run(seen, view, identity(), max_shift=0.005), identity())
 
     def test_mostly_unknown_is_weak(self) -> None:
         view, seen = draw(CAMERA, identity(), ROOM), draw(CAMERA, MOTION, ROOM)
         view.depth[:, : CAMERA.width * 3 // 4] = 0
-        assert run(seen, view, identity()).status is Status.WEAK
+        assert run(seen, view, identity()).status is PoseStatus.WEAK
 
     def test_sizes_must_agree(self) -> None:
         view = draw(CAMERA, identity(), ROOM)
         with pytest.raises(ConfigError, match=r"^depth has shape \(3, 4\), the camera asks for \(120, 160\)$"):
-            register(np.zeros((3, 4), np.float32), view.intensity, None, CAMERA, view, identity(), sigma_m=noise)
+            DepthSample(np.zeros((3, 4), np.float32), view.intensity, None, CAMERA)
         with pytest.raises(ConfigError, match=r"^view normals has shape \(120, 160\)"):
             replace(view, normals=view.depth)
         with pytest.raises(ConfigError, match="another camera"):
-            register(view.depth, view.intensity, None, LENS, view, identity(), sigma_m=noise)
+            problem(replace(view, camera=LENS), view)
 
     @pytest.mark.parametrize(
         ("options", "text"),
@@ -231,18 +243,7 @@ class TestRobustness:
         camera = CAMERA.resized(256, 192)
         view, seen = draw(camera, identity(), ROOM), noisy(draw(camera, MOTION, ROOM), rng)
         results = [
-            register(
-                seen.depth,
-                seen.intensity,
-                None,
-                camera,
-                view,
-                identity(),
-                sigma_m=noise,
-                config=RegistrationConfig(samples=60000),
-                threads=threads,
-            )
-            for threads in (1, 2, 3)
+            register(replace(problem(seen, view, samples=60000), threads=threads), identity()) for threads in (1, 2, 3)
         ]
         for result in results[1:]:
             np.testing.assert_array_equal(result.T_camera_object, results[0].T_camera_object)
@@ -251,13 +252,13 @@ class TestRobustness:
     def test_noise_may_be_a_picture(self) -> None:
         view, seen = draw(CAMERA, identity(), ROOM), draw(CAMERA, MOTION, ROOM)
         sigma = noise(seen.depth).astype(np.float32)
-        result = register(seen.depth, seen.intensity, None, CAMERA, view, identity(), sigma_m=sigma)
+        result = register(replace(problem(seen, view), sigma_m=sigma), identity())
         assert_found(result, MOTION)
 
     def test_input_need_not_be_contiguous(self) -> None:
         view, seen = draw(CAMERA, identity(), ROOM), draw(CAMERA, MOTION, ROOM)
-        wide = np.repeat(seen.depth, 2, axis=1)[:, ::2], np.asfortranarray(seen.intensity)
-        result = register(wide[0], wide[1], None, CAMERA, view, identity(), sigma_m=noise)
+        depth, luma = np.repeat(seen.depth, 2, axis=1)[:, ::2], np.asfortranarray(seen.intensity)
+        result = run(replace(seen, depth=depth, intensity=luma), view, identity())
         np.testing.assert_array_equal(result.T_camera_object, run(seen, view, identity()).T_camera_object)
 
     def test_absurdly_far_readings_do_no_harm(self, rng: np.random.Generator) -> None:
@@ -269,8 +270,7 @@ class TestRobustness:
         view = draw(CAMERA, identity(), ROOM)
         depth = view.depth + rng.normal(size=view.depth.shape) * 5 * noise(view.depth)
         luma = np.roll(view.intensity, 2, axis=1)
-        config = RegistrationConfig()
-        alignment = Alignment(depth.astype(np.float32), luma, None, CAMERA, view, noise, config, 1)
+        alignment = Alignment(problem(replace(view, depth=depth.astype(np.float32), intensity=luma), view))
         shift, _ = errors(alignment.solve(identity()).T_camera_object, identity(), (0.0, 0.0, 1.5))
         assert shift < 6.0
 
@@ -296,7 +296,7 @@ class TestRobustness:
 class TestRest:
     def decide(self, seen: ModelView, view: ModelView, previous: Pose, resting: bool) -> tuple[bool, Registration]:
         found = run(seen, view, previous)
-        still = rests(seen.depth, seen.intensity, None, CAMERA, view, previous, found, sigma_m=noise, resting=resting)
+        still = is_stationary(problem(seen, view), previous, found, resting=resting)
         return still, found
 
     @pytest.mark.parametrize("resting", [True, False])
@@ -328,7 +328,7 @@ class TestRest:
     def test_a_lost_object_does_not_rest(self) -> None:
         view = draw(CAMERA, T_CAMERA_BOX, BOX)
         still, found = self.decide(replace(view, depth=np.zeros_like(view.depth)), view, T_CAMERA_BOX, True)
-        assert found.status is Status.LOST
+        assert found.status is PoseStatus.LOST
         assert not still
 
 
@@ -343,25 +343,25 @@ class TestStarts:
         place = make_pose(np.eye(3), T_CAMERA_BOX[:3, 3] + [0.02, 0, 0])
         true = place @ make_pose(rotation_from_vector(turn) @ T_CAMERA_BOX[:3, :3], np.zeros(3))
         view, seen = draw(CAMERA, T_CAMERA_BOX, BOX), draw(CAMERA, true, BOX)
-        result = register_from_starts(seen.depth, seen.intensity, None, CAMERA, view, T_CAMERA_BOX, sigma_m=noise)
+        result = register_multi_start(problem(seen, view), T_CAMERA_BOX)
         assert_found(result, true)
 
     def test_a_good_guess_is_all_it_takes(self) -> None:
         view, seen = draw(CAMERA, identity(), ROOM), draw(CAMERA, MOTION, ROOM)
-        result = register_from_starts(seen.depth, seen.intensity, None, CAMERA, view, identity(), sigma_m=noise)
+        result = register_multi_start(problem(seen, view), identity())
         np.testing.assert_array_equal(result.T_camera_object, run(seen, view, identity()).T_camera_object)
 
     def test_another_scene_stays_lost(self) -> None:
         view, seen = draw(CAMERA, identity(), ROOM), draw(CAMERA, moved((0.0, 0.0, 0.0), (0.0, 0.0, 0.6)), Sphere(0.3))
-        result = register_from_starts(seen.depth, seen.intensity, None, CAMERA, view, MOTION, sigma_m=noise)
-        assert result.status is Status.LOST
+        result = register_multi_start(problem(seen, view), MOTION)
+        assert result.status is PoseStatus.LOST
         np.testing.assert_array_equal(result.T_camera_object, MOTION)
 
     def test_features_find_a_large_motion(self, rng: np.random.Generator) -> None:
         camera = CAMERA.resized(320, 240)
         true = moved((0.0, 0.0, 0.3), (0.1, 0.0, 0.0))
         view, seen = (self.speckled(camera, pose) for pose in (identity(), true))
-        found = feature_start(seen.depth, seen.intensity, None, camera, view)
+        found = pose_from_features(sample_of(seen), view)
         assert found is not None
         shift, turn = errors(found, true, (0.0, 0.0, 1.5))
         assert shift < 20
@@ -378,12 +378,12 @@ class TestStarts:
 
     def test_features_need_texture(self) -> None:
         view = draw(CAMERA, identity(), WALL, plain=True)
-        assert feature_start(view.depth, view.intensity, None, CAMERA, view) is None
+        assert pose_from_features(sample_of(view), view) is None
 
     def test_nothing_to_start_from(self) -> None:
         view = draw(CAMERA, MOTION, WALL)
-        empty = np.zeros_like(view.depth)
-        starts = list(other_starts(empty, view.intensity, None, CAMERA, view))
+        empty = replace(view, depth=np.zeros_like(view.depth))
+        starts = list(initial_poses(sample_of(empty), view))
         assert len(starts) == 1
         np.testing.assert_array_equal(starts[0], MOTION)
 
@@ -392,7 +392,7 @@ class TestFrameView:
     @pytest.mark.parametrize("camera", [CAMERA, LENS], ids=["pinhole", "lens"])
     def test_normals_are_those_of_the_scene(self, camera: Camera) -> None:
         exact = draw(camera, MOTION, ROOM)
-        view = frame_view(exact.depth, exact.intensity, None, camera, MOTION)
+        view = view_of_frame(sample_of(exact), MOTION)
         cosines = np.sum(view.normals * exact.normals, axis=2)[view.depth > 0]
         assert np.mean(cosines > 0.999) > 0.95
 
@@ -400,7 +400,7 @@ class TestFrameView:
         exact = draw(CAMERA, identity(), ROOM)
         mask = np.zeros(exact.depth.shape, dtype=bool)
         mask[20:60, 30:90] = True
-        view = frame_view(exact.depth, exact.intensity, mask, CAMERA, identity())
+        view = view_of_frame(sample_of(exact, mask), identity())
         assert not view.depth[~mask].any()
         assert np.isnan(view.intensity[~mask]).all()
         np.testing.assert_array_equal(np.any(view.normals != 0, axis=2), view.depth > 0)
@@ -440,8 +440,7 @@ class TestKernels:
         view.depth[rng.random(view.depth.shape) < 0.2] = 0
         view.intensity[rng.random(view.depth.shape) < 0.1] = np.nan
         seen.depth[rng.random(seen.depth.shape) < 0.2] *= np.float32(1.2)
-        config = RegistrationConfig(levels=1, detail_pixels=0)
-        alignment = Alignment(seen.depth, seen.intensity, None, camera, view, noise, config, 1)
+        alignment = Alignment(problem(seen, view, levels=1, detail_pixels=0))
         samples, gates = alignment.samples[0], np.array([0.05, 6.0, 0.7])
         rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
         T_view_frame = inverse(MOTION) @ moved((0, 0.01, 0), (0.01, 0, 0))
@@ -460,8 +459,7 @@ class TestKernels:
 
     def test_luma_slope_is_the_derivative_by_position(self) -> None:
         view, seen = draw(LENS, identity(), WALL), draw(LENS, identity(), WALL)
-        config = RegistrationConfig(levels=1, detail_pixels=0)
-        samples = Alignment(seen.depth, seen.intensity, None, LENS, view, noise, config, 1).samples[0]
+        samples = Alignment(problem(seen, view, levels=1, detail_pixels=0)).samples[0]
 
         def rows_at(pose: Pose) -> NDArray[np.float64]:
             rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)

@@ -16,12 +16,13 @@ from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_COUNT
 from threedvc.stream.frame_report import STATUSES, FrameReport, report_packet, unpack_report
 from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.stream.wire import pack_signed_varint, pack_varint
 
 MEGABYTE = 1 << 20
 
 
-def frame(index: int, status: str = "tracked", bits: float = 1000.0) -> FrameReport:
+def frame(index: int, status: PoseStatus = PoseStatus.TRACKED, bits: float = 1000.0) -> FrameReport:
     return FrameReport(index=index, timestamp_ns=index, status=status, entropy_bits=bits)
 
 

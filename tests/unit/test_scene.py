@@ -13,11 +13,12 @@ from threedvc.config import EncoderConfig, Motion, SegmentationConfig, Segmentat
 from threedvc.encoder.reconstruction.cell_size import default_voxel_size
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.tracking.pose_track import Located
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.errors import SequenceError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, identity, make_pose
+from threedvc.stream.pose_status import PoseStatus
 
 CAMERA = Camera(width=48, height=36, fx=50.0, fy=50.0, cx=23.5, cy=17.5)
 INFO = SequenceInfo(
@@ -60,7 +61,7 @@ def frame(index: int, *, boxed: bool = True, pose: Pose | None = None, wall: flo
 def test_objects_are_those_of_the_labels() -> None:
     scene = Scene(INFO, config())
     assert scene.entropy_bits == 0
-    assert scene.add(frame(0, boxed=False)) == "known"
+    assert scene.add(frame(0, boxed=False)) is PoseStatus.KNOWN
     assert sorted(scene.objects) == [0]
     scene.add(frame(1))
     assert sorted(scene.objects) == [0, 3]
@@ -115,9 +116,13 @@ def test_what_was_never_found_stands_at_the_origin() -> None:
 
 def test_the_worst_status_of_a_frame_is_told() -> None:
     script = {
-        0: [Located(T_camera_object=identity(), status=status) for status in ("known", "tracked", "tracked", "weak")],
+        0: [
+            TrackedPose(T_camera_object=identity(), status=PoseStatus(status))
+            for status in ("known", "tracked", "tracked", "weak")
+        ],
         3: [
-            Located(T_camera_object=shifted(0, 0.9), status=status) for status in ("known", "known", "lost", "tracked")
+            TrackedPose(T_camera_object=shifted(0, 0.9), status=PoseStatus(status))
+            for status in ("known", "known", "lost", "tracked")
         ],
     }
     scene = Scene(INFO, config(), script)
@@ -125,9 +130,9 @@ def test_the_worst_status_of_a_frame_is_told() -> None:
 
 
 def test_a_lost_object_is_not_fused() -> None:
-    lost = Located(T_camera_object=shifted(0.3, 0.9), status="lost")
-    found = Located(T_camera_object=shifted(0, 0.9), status="tracked")
-    here = Located(T_camera_object=identity(), status="known")
+    lost = TrackedPose(T_camera_object=shifted(0.3, 0.9), status=PoseStatus.LOST)
+    found = TrackedPose(T_camera_object=shifted(0, 0.9), status=PoseStatus.TRACKED)
+    here = TrackedPose(T_camera_object=identity(), status=PoseStatus.KNOWN)
     once = Scene(INFO, config(), {0: [here] * 3, 3: [found] * 3})
     twice = Scene(INFO, config(), {0: [here] * 3, 3: [found, lost, lost]})
     once.add(frame(0))

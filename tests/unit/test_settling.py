@@ -8,16 +8,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from threedvc.encoder.tracking.pose_track import Located
-from threedvc.encoder.tracking.trajectory_smoothing import EASE, eased, settled, smoothed
+from threedvc.encoder.tracking.pose_track import TrackedPose
+from threedvc.encoder.tracking.trajectory_smoothing import DAMPING, damp_acceleration, smooth_to_depth, smoothed
 from threedvc.geometry.pose import Pose, compose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
+from threedvc.stream.pose_status import PoseStatus
 
 
-def located(poses: list[Pose], status: str = "tracked") -> list[Located | None]:
-    return [Located(T_camera_object=pose, status=status) for pose in poses]
+def located(poses: list[Pose], status: PoseStatus = PoseStatus.TRACKED) -> list[TrackedPose | None]:
+    return [TrackedPose(T_camera_object=pose, status=status) for pose in poses]
 
 
-def poses_of(found: list[Located | None]) -> list[Pose]:
+def poses_of(found: list[TrackedPose | None]) -> list[Pose]:
     return [at.T_camera_object for at in found if at is not None]
 
 
@@ -55,7 +56,7 @@ def test_noise_goes_and_a_lasting_difference_stays(rng: np.random.Generator) -> 
     noise = [make_pose(rotation_from_vector(rng.normal(scale=0.005, size=3)), np.zeros(3)) for _ in together]
     wanted = moved(together, [lasting] * 40)
     noisy = moved(wanted, noise)
-    result = poses_of(settled(located(noisy), located(together), [False] * 40))
+    result = poses_of(smooth_to_depth(located(noisy), located(together), [False] * 40))
     assert jitter(result, wanted) < 0.2 * jitter(noisy, wanted)
     errors = [rotation_angle(compose(a, inverse(b))) for a, b in zip(result, wanted, strict=True)]
     assert max(errors) < 0.006
@@ -65,17 +66,17 @@ def test_a_camera_at_rest_rests() -> None:
     together = turning(5) + [turning(5)[-1]] * 10 + turning(5)[::-1]
     shift = make_pose(np.eye(3), np.array([0.01, 0, 0]))
     found = moved(together, [identity()] * 3 + [shift] * 17)
-    result = poses_of(settled(located(found), located(together), [False] * 20))
+    result = poses_of(smooth_to_depth(located(found), located(together), [False] * 20))
     assert all(np.array_equal(pose, result[4]) for pose in result[4:15])
 
 
 def test_given_lost_and_missing_poses_stay() -> None:
     together = located(turning(6))
     found = located(moved(turning(6), [make_pose(np.eye(3), np.array([0.01 * k * k, 0, 0])) for k in range(6)]))
-    found[1] = Located(T_camera_object=identity(), status="lost")
+    found[1] = TrackedPose(T_camera_object=identity(), status=PoseStatus.LOST)
     found[2] = None
-    found[3] = Located(T_camera_object=identity(), status="known")
-    result = settled(found, together, [False] * 6)
+    found[3] = TrackedPose(T_camera_object=identity(), status=PoseStatus.KNOWN)
+    result = smooth_to_depth(found, together, [False] * 6)
     assert [result[k] for k in (1, 2, 3)] == [found[k] for k in (1, 2, 3)]
     assert not np.array_equal(poses_of(result)[4], poses_of(found)[4])
 
@@ -87,34 +88,34 @@ def test_parts_of_a_model_are_settled_apart() -> None:
     for k in range(4, 8):
         at = found[k]
         assert at is not None
-        found[k] = Located(T_camera_object=at.T_camera_object, status=at.status, part=1)
-    before, after = poses_of(found), poses_of(settled(found, together, [False] * 8))
+        found[k] = TrackedPose(T_camera_object=at.T_camera_object, status=at.status, submap=1)
+    before, after = poses_of(found), poses_of(smooth_to_depth(found, together, [False] * 8))
     assert all(np.allclose(a, b) for a, b in zip(before, after, strict=True))
 
 
 def test_frames_without_depth_go_with_those_about_them() -> None:
     together, shift = turning(7), make_pose(np.eye(3), np.array([0.02, 0, 0]))
     found = located(moved(together, [shift] * 3 + [identity()] + [shift] * 3))
-    result = poses_of(settled(found, located(together), [k == 3 for k in range(7)]))
+    result = poses_of(smooth_to_depth(found, located(together), [k == 3 for k in range(7)]))
     assert all(np.allclose(a, b) for a, b in zip(result, moved(together, [shift] * 7), strict=True))
 
 
 def test_easing_is_the_least_squares_solution_of_shifts(rng: np.random.Generator) -> None:
     places = np.cumsum(rng.normal(size=(12, 3)), axis=0)
     bends = np.diff(np.eye(12), n=2, axis=0)
-    wanted = np.linalg.solve(np.eye(12) + EASE * bends.T @ bends, places)
-    result = eased([make_pose(np.eye(3), -place) for place in places])
+    wanted = np.linalg.solve(np.eye(12) + DAMPING * bends.T @ bends, places)
+    result = damp_acceleration([make_pose(np.eye(3), -place) for place in places])
     assert [-pose[:3, 3] for pose in result] == pytest.approx(wanted, abs=1e-6)
 
 
 def test_steady_motion_is_not_eased() -> None:
     for count in (0, 1, 2, 3, 20):
         poses = turning(count)
-        assert all(np.allclose(a, b, atol=1e-9) for a, b in zip(eased(poses), poses, strict=True))
+        assert all(np.allclose(a, b, atol=1e-9) for a, b in zip(damp_acceleration(poses), poses, strict=True))
 
 
 def test_easing_takes_noise_out_of_turns(rng: np.random.Generator) -> None:
     true = turning(40)
     noise = [make_pose(rotation_from_vector(rng.normal(scale=0.005, size=3)), np.zeros(3)) for _ in true]
     noisy = moved(true, noise)
-    assert jitter(eased(noisy), true) < 0.85 * jitter(noisy, true)
+    assert jitter(damp_acceleration(noisy), true) < 0.85 * jitter(noisy, true)

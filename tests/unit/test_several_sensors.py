@@ -15,7 +15,7 @@ from threedvc.config import EncoderConfig, Motion, Preset, with_preset
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.pose_fusion import PoseWitness, joint_pose
+from threedvc.encoder.tracking.pose_fusion import PoseEstimate, fused_pose
 from threedvc.errors import ConfigError, CorruptStream
 from threedvc.formats.decoding import DecodedFrame, open_stream
 from threedvc.formats.encoding import encode
@@ -132,8 +132,8 @@ class TestJointPose:
     def test_each_tells_what_it_knows(self) -> None:
         along_x, along_y = (np.diag([1e4, 1e4, 1e4, *place]) for place in ([1e6, 1.0, 1e6], [1.0, 1e6, 1e6]))
         places = make_pose(np.eye(3), np.array([0.01, 0.5, 0.0])), make_pose(np.eye(3), np.array([0.3, 0.02, 0.0]))
-        found = joint_pose(
-            [PoseWitness(pose, identity(), say) for pose, say in zip(places, (along_x, along_y), strict=True)]
+        found = fused_pose(
+            [PoseEstimate(pose, identity(), say) for pose, say in zip(places, (along_x, along_y), strict=True)]
         )
         np.testing.assert_allclose(found[:3, 3], [0.01, 0.02, 0.0], atol=1e-3)
 
@@ -141,13 +141,13 @@ class TestJointPose:
         quarter = make_pose(rotation_from_vector(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3))
         sure_of_x = np.diag([1e4, 1e4, 1e4, 1e6, 1.0, 1.0])
         one, other = (make_pose(np.eye(3), np.array(place)) for place in ([0.1, 0.2, 0.0], [0.3, 0.4, 0.0]))
-        found = joint_pose([PoseWitness(one, identity(), sure_of_x), PoseWitness(other, quarter, sure_of_x)])
+        found = fused_pose([PoseEstimate(one, identity(), sure_of_x), PoseEstimate(other, quarter, sure_of_x)])
         np.testing.assert_allclose(found[:3, 3], [0.1, 0.4, 0.0], atol=1e-3)
 
     def test_what_nobody_knows_follows_the_first(self) -> None:
         nothing = np.zeros((6, 6))
         pose = make_pose(rotation_from_vector(np.array([0.1, 0.0, 0.2])), np.array([1.0, 2.0, 3.0]))
-        np.testing.assert_allclose(joint_pose([PoseWitness(pose, identity(), nothing)] * 2), pose, atol=1e-12)
+        np.testing.assert_allclose(fused_pose([PoseEstimate(pose, identity(), nothing)] * 2), pose, atol=1e-12)
 
 
 class TestTurns:

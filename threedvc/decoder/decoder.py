@@ -62,6 +62,7 @@ from threedvc.stream.headers import (
 )
 from threedvc.stream.input_options import InputOptions, unpack_input_options
 from threedvc.stream.packets import Packet, PacketType, type_name
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.stream.sensor_order import Turns, unpack_cycle
 from threedvc.stream.wire import ByteReader
 
@@ -137,7 +138,7 @@ class Decoder:
         self._entropy_bits: list[float] = []
         self._color_offsets: dict[int, int] = {}
         self.input_options: dict[int, InputOptions] = {}
-        self._status: list[str] = []
+        self._status: list[PoseStatus] = []
         self._coders: dict[int, PoseCoder] = {}
         self._due: dict[str, int] = {}
         self._scripts: dict[int, Pose] = {}

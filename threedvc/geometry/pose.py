@@ -15,18 +15,20 @@ __all__ = [
     "Pose",
     "adjoint",
     "compose",
+    "exp_motion",
     "identity",
     "interpolated",
     "inverse",
     "is_rigid",
+    "log_motion",
     "make_pose",
+    "nearest_rotation",
     "orthonormalised",
     "quaternion",
     "rotation_angle",
     "rotation_from_quaternion",
     "rotation_from_vector",
     "rotation_vector",
-    "twist_of",
 ]
 
 Pose = NDArray[np.float64]
@@ -71,10 +73,15 @@ def is_rigid(pose: Pose, tolerance: float = 1e-3) -> bool:
     return bool(orthonormal and np.linalg.det(rotation) > 0 and np.allclose(pose[3], [0, 0, 0, 1], atol=tolerance))
 
 
+def nearest_rotation(matrix: Doubles) -> Doubles:
+    """Return the rotation with the largest inner product with a (3, 3) matrix (Umeyama 1991)."""
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+
+
 def orthonormalised(pose: Pose) -> Pose:
     """Return the rigid transform nearest to a nearly rigid one."""
-    u, _, vt = np.linalg.svd(pose[:3, :3])
-    return make_pose(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, pose[:3, 3])
+    return make_pose(nearest_rotation(pose[:3, :3]), pose[:3, 3])
 
 
 def rotation_from_quaternion(xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -141,13 +148,25 @@ def interpolated(first: Pose, second: Pose, share: float) -> Pose:
     )
 
 
-def twist_of(motion: Pose) -> Doubles:
-    """Return turn and shift (6,) of a small motion."""
+def exp_motion(twist: Doubles) -> Pose:
+    """Return the motion of a twist (6,): the rotation vector in radians, then the shift in metres.
+
+    Turn and shift are taken apart, as the exponential on SO(3) x R^3: for the small motions of an optimiser that is
+    SE(3)'s to first order.
+    """
+    return make_pose(rotation_from_vector(twist[:3]), twist[3:])
+
+
+def log_motion(motion: Pose) -> Doubles:
+    """Return the twist (6,) of a motion, turn and shift; inverse of `exp_motion`."""
     return np.concatenate([rotation_vector(motion[:3, :3]), motion[:3, 3]])
 
 
 def adjoint(T: Pose) -> Doubles:
-    """Return what turns a small motion (turn, shift) in one frame into the same motion in another (6, 6)."""
+    """Return the (6, 6) matrix that turns a small motion (turn, shift) in one frame into the same one in another.
+
+    To first order, ``exp_motion(adjoint(T_a_b) @ twist)`` moves in a as ``exp_motion(twist)`` does in b.
+    """
     x, y, z = T[:3, 3]
     across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     result = np.zeros((6, 6))

@@ -14,13 +14,15 @@ import zstandard
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_COUNT
 from threedvc.stream.packets import Packet, PacketType
+from threedvc.stream.pose_status import PoseStatus
 from threedvc.stream.wire import ByteReader, pack_signed_varint, pack_varint
 
 __all__ = ["REPORT_KIND", "FrameReport", "OnFrame", "StreamReport", "report_packet", "unpack_report"]
 
 REPORT_KIND = "report"
 STEPS_PER_OCTAVE = 32
-STATUSES = ("known", "tracked", "weak", "lost", "relocalised")
+STATUSES = (PoseStatus.KNOWN, PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.LOST, PoseStatus.RELOCALISED)
+"""In the order of their numbers in the stream."""
 MAX_REPORT_BYTES = 8 * MAX_COUNT
 
 
@@ -33,7 +35,7 @@ class FrameReport:
     index, timestamp_ns
         Which frame.
     status
-        Worst outcome of finding the objects: ``known``, ``tracked``, ``relocalised``, ``weak`` or ``lost``.
+        Worst outcome of finding the objects.
     entropy_bits
         Entropy of all models after the frame.
     bytes_so_far
@@ -44,7 +46,7 @@ class FrameReport:
 
     index: int
     timestamp_ns: int
-    status: str
+    status: PoseStatus
     entropy_bits: float
     bytes_so_far: int = 0
     seconds: float = 0.0
@@ -58,7 +60,7 @@ class StreamReport:
     """Entropy in bits and status of consecutive frames, as the stream keeps them."""
 
     entropy_bits: tuple[float, ...]
-    status: tuple[str, ...]
+    status: tuple[PoseStatus, ...]
 
 
 def report_packet(frames: Sequence[FrameReport]) -> Packet:
@@ -95,7 +97,7 @@ def unpack_report(packet: Packet) -> StreamReport | None:
     count, runs = reader.varint(), reader.varint()
     if count > MAX_COUNT or runs > count:
         raise CorruptStream(f"the encoder's report of {count} frames in {runs} runs is impossible")
-    status: list[str] = []
+    status: list[PoseStatus] = []
     for _ in range(runs):
         code, length = reader.varint(), reader.varint()
         if code >= len(STATUSES) or not 0 < length <= count - len(status):

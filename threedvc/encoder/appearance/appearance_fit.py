@@ -26,7 +26,7 @@ from threedvc.encoder.appearance.pose_alignment import Alignment
 from threedvc.encoder.appearance.surface_completion import complete_surfaces
 from threedvc.encoder.fusion.surface_extraction import Surface
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.pose_track import Script
+from threedvc.encoder.tracking.pose_track import PoseTracks
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose
 
@@ -72,7 +72,7 @@ class FittedAppearance:
     pixels_per_cell: float
 
 
-def align_poses(scene: Scene, frames: FrameSequence, rounds: int) -> Script:
+def align_poses(scene: Scene, frames: FrameSequence, rounds: int) -> PoseTracks:
     """Return where every object is in every frame, as fits colour and depth.
 
     Poses are aligned `rounds` times, each time against colours fitted at the poses before. They stay as they are

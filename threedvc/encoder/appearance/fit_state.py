@@ -18,15 +18,15 @@ from threedvc.encoder.appearance.samples import FrameSamples, Sampler, rays_at
 from threedvc.encoder.fusion.surface_extraction import Surface, read_surface
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.tracking.model_view import Thinned
-from threedvc.encoder.tracking.pose_track import Script
-from threedvc.encoder.tracking.registration import Status
+from threedvc.encoder.tracking.frame_resolutions import Downsampled
+from threedvc.encoder.tracking.pose_track import PoseTracks
 from threedvc.frames.frame import Frame
 from threedvc.frames.sequence import FrameSequence, spread_step
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, identity, inverse
 from threedvc.render.render_model import RenderModel
 from threedvc.render.renderer import Renderer
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["MAX_SAMPLES", "CompletedSurface", "DepthCaster", "FitState"]
 
@@ -60,7 +60,7 @@ class CompletedSurface:
 class DepthCaster(NamedTuple):
     """Rays of a sensor's depth camera, fewer than its pixels, and what casts them."""
 
-    thinned: Thinned
+    thinned: Downsampled
     renderer: Renderer
 
     def cast(self, models: Mapping[int, RenderModel], poses: Mapping[int, Pose]) -> tuple[Floats, NDArray[np.uint8]]:
@@ -73,7 +73,7 @@ class DepthCaster(NamedTuple):
 
     def measured(self, frame: Frame) -> Floats:
         """Return the depth (n,) that a frame has at the rays."""
-        return self.thinned.thin(frame.depth).reshape(-1)
+        return self.thinned.downsample(frame.depth).reshape(-1)
 
 
 class FitState:
@@ -128,7 +128,7 @@ class FitState:
         }
         self.completion: CompletedSurface | None = None
         self.colors = self._color_field()
-        self.tracks: Script = {number: list(item.found) for number, item in scene.objects.items()}
+        self.tracks: PoseTracks = {number: list(item.found) for number, item in scene.objects.items()}
         self.shifts = [identity()] * len(frames) if shifts is None else list(shifts)
         self.gains = np.repeat(NEUTRAL[None], len(frames), axis=0)
         self.samples: list[FrameSamples] = []
@@ -207,14 +207,14 @@ class FitState:
 
     def draws_lost_object(self, frame: int) -> bool:
         """Tell whether an object is drawn where it was not seen: then the picture says nothing about colours."""
-        return any(at.status == Status.LOST for track in self.tracks.values() if (at := track[frame]) is not None)
+        return any(at.status is PoseStatus.LOST for track in self.tracks.values() if (at := track[frame]) is not None)
 
     def depth_caster(self, frame: int) -> DepthCaster:
         """Return the rays of the depth camera that took a frame."""
         sensor = self.sensor_of(frame)
         if sensor not in self._casters:
             rig = self.scene.info.rigs[sensor]
-            self._casters[sensor] = DepthCaster(Thinned(rig), Renderer(rig, RenderConfig(threads=self.threads)))
+            self._casters[sensor] = DepthCaster(Downsampled(rig), Renderer(rig, RenderConfig(threads=self.threads)))
         return self._casters[sensor]
 
     def sample(self, frame: Frame) -> FrameSamples:

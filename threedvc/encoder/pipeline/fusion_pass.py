@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 from threedvc.config import EncoderConfig
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.pose_track import Located, Script, along_with_the_room
+from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, carry_resting_objects
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence, moments
 from threedvc.stream.frame_report import FrameReport, OnFrame
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["FrameReporter", "FusionPass", "Reconstruction", "fuse_frames"]
 
@@ -41,7 +42,7 @@ class Reconstruction:
         return self.scene.info
 
     @property
-    def poses(self) -> Script:
+    def poses(self) -> PoseTracks:
         """Where every object was found in every frame."""
         return {number: item.found for number, item in self.scene.objects.items()}
 
@@ -69,7 +70,7 @@ class FrameReporter:
         self._on_frame = on_frame
         self._began = time.perf_counter()
 
-    def report(self, frame: Frame, status: str, entropy_bits: float) -> FrameReport:
+    def report(self, frame: Frame, status: PoseStatus, entropy_bits: float) -> FrameReport:
         """Return the report of a frame that was just fused."""
         report = FrameReport(
             index=frame.index,
@@ -117,7 +118,7 @@ class FusionPass:
         """Take all frames into a scene, see `fuse_frames`."""
         return fuse_frames(self.frames, scene, self.reporter, config)
 
-    def fuse_at(self, state: Reconstruction, poses: Mapping[int, Sequence[Located | None]]) -> Reconstruction:
+    def fuse_at(self, state: Reconstruction, poses: Mapping[int, Sequence[TrackedPose | None]]) -> Reconstruction:
         """Fuse all frames anew at given poses; what rests in the background is carried along with it."""
-        carried = along_with_the_room(poses, state.poses)
+        carried = carry_resting_objects(poses, state.poses)
         return self.fuse(Scene(state.info, state.config, carried, state.scene.division))

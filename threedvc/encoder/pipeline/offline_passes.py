@@ -29,12 +29,13 @@ from threedvc.encoder.reconstruction.loop_closure import closed_loops
 from threedvc.encoder.reconstruction.pose_refinement import refined_script
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.segmentation.sequence_labels import MOST_LOST, Division
-from threedvc.encoder.tracking.pose_track import bridged, joined_parts
-from threedvc.encoder.tracking.registration import RegistrationConfig, Status
-from threedvc.encoder.tracking.trajectory_smoothing import settled
+from threedvc.encoder.tracking.pose_track import interpolate_blind_frames, merge_submaps
+from threedvc.encoder.tracking.registration import RegistrationConfig
+from threedvc.encoder.tracking.trajectory_smoothing import smooth_to_depth
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.frames.frame import SequenceInfo
 from threedvc.geometry.pose import Pose, compose, inverse
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["check_regions_of_interest", "check_surfaces", "find_objects", "improve"]
 
@@ -140,7 +141,7 @@ def _labels_by_motion(info: SequenceInfo, config: EncoderConfig, fusion: FusionP
 
 def _loses_often(state: Reconstruction) -> bool:
     """Tell if something is lost in so many frames that it is no rigid object: surfaces that shine seem to move."""
-    return sum(report.status == Status.LOST for report in state.reports) > MOST_LOST * len(state.reports)
+    return sum(report.status is PoseStatus.LOST for report in state.reports) > MOST_LOST * len(state.reports)
 
 
 def _with_measured_noise(
@@ -156,10 +157,10 @@ def _with_measured_noise(
 def _with_merged_submaps(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
     """Bring the parts of models that recognised each other together."""
     items = state.scene.objects.items()
-    links = {number: item.tracker.bridges for number, item in items if item.tracker and item.tracker.bridges}
+    links = {number: item.tracker.submap_links for number, item in items if item.tracker and item.tracker.submap_links}
     if not links:
         return state
-    return fusion.fuse_at(state, {number: joined_parts(item.found, links.get(number, {})) for number, item in items})
+    return fusion.fuse_at(state, {number: merge_submaps(item.found, links.get(number, {})) for number, item in items})
 
 
 def _with_camera_at_rest(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
@@ -193,7 +194,9 @@ def _with_color_calibration(state: Reconstruction, fusion: FusionPass) -> Recons
     elif tracked:
         state = _tracked_anew(state, fusion)
     poses = refined_script(state.scene, fusion.frames, TO_DEPTH if tracked and info is not None else None)
-    poses[0] = bridged(poses[0], [record.blind for record in state.scene.records], round(BRIDGED_S * state.info.fps))
+    poses[0] = interpolate_blind_frames(
+        poses[0], [record.blind for record in state.scene.records], round(BRIDGED_S * state.info.fps)
+    )
     return fusion.fuse_at(state, poses)
 
 
@@ -209,7 +212,9 @@ def _tracked_anew(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
 def _with_closed_loops(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
     """Take the drift out of a tracked camera's path, if that makes the model fit the frames better."""
     scene, frames = state.scene, fusion.frames
-    if not scene.objects[0].may_move or all(at is None or at.status == "known" for at in scene.objects[0].found):
+    if not scene.objects[0].may_move or all(
+        at is None or at.status is PoseStatus.KNOWN for at in scene.objects[0].found
+    ):
         return state
     closed_path = closed_loops(scene, frames)
     if closed_path is None:
@@ -245,7 +250,7 @@ def _with_poses_of_depth(common: Reconstruction, fusion: FusionPass) -> tuple[Re
     for _ in range(MAX_DEPTH_ROUNDS):
         poses = refined_script(state.scene, frames, TO_DEPTH)
         if not state.info.sensors:  # sensors share poses, or take turns at steps of uneven length
-            poses[0] = settled(
+            poses[0] = smooth_to_depth(
                 poses[0], common.scene.objects[0].found, [record.blind for record in common.scene.records]
             )
         state = fusion.fuse_at(state, poses)

@@ -11,7 +11,7 @@ from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig
 from threedvc.encoder.rate.rate_control import live_cell_factor
 from threedvc.encoder.reconstruction.frame_intake import SETTLED_SHARE
 from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject
-from threedvc.encoder.tracking.model_view import FrameViews
+from threedvc.encoder.tracking.frame_resolutions import FrameResolutions
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import CameraRig
 
@@ -63,7 +63,9 @@ class CellSizes:
         if self._live_factor is None:
             self._live_factor = self._rated_factor(frame, labels)
 
-    def size_for(self, number: int, views: FrameViews, mask: Mask, *, tracked: bool, transient: bool = False) -> float:
+    def size_for(
+        self, number: int, views: FrameResolutions, mask: Mask, *, tracked: bool, transient: bool = False
+    ) -> float:
         """Return the edge of the cells of an object that a frame shows at `mask` (h, w), metres."""
         size = self._size(number, views, mask, tracked=tracked)
         return max(round(TRANSIENT_FACTOR * size, SIZE_DIGITS), MIN_VOXEL_SIZE_M) if transient else size
@@ -73,7 +75,7 @@ class CellSizes:
         by_specks = background.sized_by < SETTLED_SHARE * frame.depth.size and self._config.voxel_size_m is None
         return by_specks and shown >= max(RESIZED * background.sized_by, MIN_PIXELS)
 
-    def _size(self, number: int, views: FrameViews, mask: Mask, *, tracked: bool) -> float:
+    def _size(self, number: int, views: FrameResolutions, mask: Mask, *, tracked: bool) -> float:
         if self._config.voxel_size_m is not None:
             return self._config.voxel_size_m
         size = default_voxel_size(views.frame.depth, mask, views.rig)

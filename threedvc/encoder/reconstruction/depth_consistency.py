@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threedvc.config import Sensor
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.model_view import shown_and_measured
+from threedvc.encoder.tracking.model_view import predicted_and_measured_depth
 from threedvc.frames.sequence import FrameSequence, spread_step
 from threedvc.metrics.depth_errors import mean_misfit
 
@@ -58,4 +58,4 @@ def _background_depths(
         mask = scene.labels(frame) == 0
         views = scene.views(frame)
         there = views.rig.at_sensor(at.T_camera_object)
-        yield index, *shown_and_measured(item.evidence, views, mask, there, scene.config.threads, exact=True)
+        yield index, *predicted_and_measured_depth(item.evidence, views, mask, there, scene.config.threads, exact=True)

@@ -19,13 +19,15 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.initial_poses import register_from_starts
-from threedvc.encoder.tracking.model_view import cast_view
-from threedvc.encoder.tracking.registration import RegistrationConfig, Status
+from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.tracking.initial_poses import register_multi_start
+from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.tracking.registration import RegistrationConfig, RegistrationProblem
 from threedvc.frames.frame import SequenceInfo
 from threedvc.frames.sequence import FrameSequence
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, orthonormalised, rotation_from_vector, twist_of
+from threedvc.geometry.pose import Pose, compose, exp_motion, inverse, log_motion, orthonormalised
 from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["mounted_info"]
 
@@ -104,7 +106,7 @@ def _corrected(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model
     matrix = np.sum([each.information for each in kept], axis=0)
     side = np.sum([each.information @ each.twist for each in kept], axis=0)
     twist = np.linalg.solve(matrix + 1e-6 * np.trace(matrix) * np.eye(6), side).astype(np.float64)
-    return orthonormalised(compose(make_pose(rotation_from_vector(twist[:3]), twist[3:]), mount))
+    return orthonormalised(compose(exp_motion(twist), mount))
 
 
 def _said(scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel, mount: Pose) -> _Said | None:
@@ -112,16 +114,16 @@ def _said(scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel
     at = scene.objects[0].found[number]
     assert at is not None
     frame = scene.limited(frames[number])
-    views, mask = scene.views(frame), scene.labels(frame) == 0
-    form, threads, sigma_m = views.form(mask), scene.config.threads, scene.sensor_of(frame.sensor).sigma_m
+    seen = ObjectView(scene.views(frame), scene.labels(frame) == 0)
+    threads, sigma_m = scene.config.threads, scene.sensor_of(frame.sensor).sigma_m
     guess = compose(mount, at.T_camera_object)
-    view = cast_view(model, form, guess, threads, exact=True)
-    seen = form.thin(frame.depth), views.luma(form), form.thin(mask), form.camera
-    found = register_from_starts(*seen, view, guess, sigma_m=sigma_m, config=BY_DEPTH, threads=threads)
-    if found.status is Status.LOST or found.overlap < LEAST_OVERLAP:
+    view = raycast_model(model, seen.resolution, guess, threads, exact=True)
+    problem = RegistrationProblem(sample=seen.sample, view=view, sigma_m=sigma_m, config=BY_DEPTH, threads=threads)
+    found = register_multi_start(problem, guess)
+    if found.status is PoseStatus.LOST or found.overlap < LEAST_OVERLAP:
         return None
-    information = Alignment(*seen, view, sigma_m, BY_DEPTH, threads).information(found.T_camera_object)
-    return None if information is None else _Said(twist_of(found.T_camera_object @ inverse(guess)), information)
+    information = Alignment(problem).information(found.T_camera_object)
+    return None if information is None else _Said(log_motion(found.T_camera_object @ inverse(guess)), information)
 
 
 def _misfit(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> float:
@@ -131,9 +133,8 @@ def _misfit(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: E
         at = scene.objects[0].found[number]
         assert at is not None
         frame = scene.limited(frames[number])
-        mask = scene.labels(frame) == 0
-        form = scene.views(frame).form(mask)
+        seen = ObjectView(scene.views(frame), scene.labels(frame) == 0)
         guess = compose(mount, at.T_camera_object)
-        view = cast_view(model, form, guess, scene.config.threads, exact=True)
-        pictures.append((view.depth, np.where(form.thin(mask), form.thin(frame.depth), np.float32(0))))
+        view = raycast_model(model, seen.resolution, guess, scene.config.threads, exact=True)
+        pictures.append((view.depth, seen.object_depth))
     return mean_misfit(pictures)

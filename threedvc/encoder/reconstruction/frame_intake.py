@@ -15,7 +15,8 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.exposure import camera_gain, with_gain
 from threedvc.encoder.fusion.integration import Observation, observe
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
-from threedvc.encoder.tracking.model_view import FrameViews, Thinned, shown_and_measured
+from threedvc.encoder.tracking.frame_resolutions import Downsampled, FrameResolutions
+from threedvc.encoder.tracking.model_view import predicted_and_measured_depth
 from threedvc.frames.frame import Frame, SequenceInfo, check_frame
 from threedvc.frames.sensor_model import SENSORS, SensorModel, chosen_sensor, within
 from threedvc.geometry.pose import Pose
@@ -65,7 +66,7 @@ class FrameRecord:
 class PreparedFrame:
     """A frame to be taken in: its resolutions, the objects' numbers (h, w), and what is fused."""
 
-    views: FrameViews
+    views: FrameResolutions
     labels: NDArray[np.uint8]
     seen: Observation
 
@@ -96,8 +97,8 @@ class FrameIntake:
         self._last: dict[int, Frame] = {}
         self._noise: dict[int, SensorModel] = {}
         self._meters: dict[int, NoiseMeter] = {}
-        self.full = [Thinned(rig, 1) for rig in info.rigs]
-        self._thinned = [Thinned(rig) for rig in info.rigs]
+        self.full = [Downsampled(rig, 1) for rig in info.rigs]
+        self._thinned = [Downsampled(rig) for rig in info.rigs]
         self._rays = [rig.depth.rays() for rig in info.rigs]
 
     @property
@@ -153,9 +154,9 @@ class FrameIntake:
         limit = self._config.max_depth_m or (sensor.reach_m if sensor else MAX_DEPTH_M)
         return replace(frame, depth=within(frame.depth, limit))
 
-    def views(self, frame: Frame) -> FrameViews:
+    def views(self, frame: Frame) -> FrameResolutions:
         """Return the resolutions of a frame for registration."""
-        return FrameViews(frame, self.full[frame.sensor], self._thinned[frame.sensor])
+        return FrameResolutions(frame, self.full[frame.sensor], self._thinned[frame.sensor])
 
     def sensor_of(self, number: int) -> SensorModel:
         """Return the noise of a sensor's depth: the one asked for, or guessed from its first frame."""
@@ -173,7 +174,7 @@ class FrameIntake:
         named = self._config.sensor_of(number) is not Sensor.AUTO
         if named or meter.frames == METERED_FRAMES or not background.index.count:
             return
-        pictures = shown_and_measured(background, frame.views, mask, T_camera_object, self._config.threads)
+        pictures = predicted_and_measured_depth(background, frame.views, mask, T_camera_object, self._config.threads)
         meter.add(*pictures, background.voxel_size_m)
         better = meter.better_than(self._noise[number]) if meter.frames == METERED_FRAMES else None
         if better is not None:

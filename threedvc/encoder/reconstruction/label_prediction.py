@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.model_view import Thinned, cast_view
+from threedvc.encoder.tracking.frame_resolutions import Downsampled
+from threedvc.encoder.tracking.model_view import raycast_model
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.pose import Pose
 
@@ -23,7 +24,7 @@ GATE_SHARE = 0.03
 
 def predicted_labels(
     depth: NDArray[np.float32],
-    resolution: Thinned,
+    resolution: Downsampled,
     sensor: SensorModel,
     models: Iterable[tuple[int, EvidenceModel, Pose]],
     threads: int,
@@ -47,7 +48,7 @@ def predicted_labels(
     gate = GATE_SIGMAS * sensor.sigma_m(depth.astype(np.float64)) + GATE_SHARE * depth
     nearest = np.full(depth.shape, np.inf)
     for number, evidence, T_base_object in models:
-        view = cast_view(evidence, resolution, resolution.rig.at_sensor(T_base_object), threads).depth
+        view = raycast_model(evidence, resolution, resolution.rig.at_sensor(T_base_object), threads).depth
         off = np.where(depth > 0, np.abs(depth - view), 0)
         mine = (view > 0) & (off <= gate) & (off < nearest)
         labels[mine], nearest[mine] = number, off[mine]

@@ -18,12 +18,19 @@ import numpy as np
 from threedvc.encoder.reconstruction.pose_graph import Link, optimised
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.initial_poses import register_from_starts
-from threedvc.encoder.tracking.model_view import FrameViews
-from threedvc.encoder.tracking.pose_track import Located
-from threedvc.encoder.tracking.registration import ModelView, RegistrationConfig, Status, frame_view
+from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.tracking.initial_poses import register_multi_start
+from threedvc.encoder.tracking.pose_track import TrackedPose
+from threedvc.encoder.tracking.registration import (
+    DepthSample,
+    ModelView,
+    RegistrationConfig,
+    RegistrationProblem,
+    view_of_frame,
+)
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, compose, identity, interpolated, inverse, rotation_angle
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["closed_loops", "corrected", "key_numbers"]
 
@@ -50,12 +57,12 @@ PAIRWISE = RegistrationConfig(detail_pixels=0, min_overlap=0.2, min_inliers=0.5)
 class _View:
     """A keyframe: its number, its views, and where it was found."""
 
-    def __init__(self, number: int, views: FrameViews, mask: np.ndarray, at: Located) -> None:
-        form = views.form(mask)
-        self.number, self.T_world_camera, self.part = number, inverse(at.T_camera_object), at.part
-        self.depth = np.where(form.thin(mask), form.thin(views.frame.depth), np.float32(0))
-        self.luma, self.camera = views.luma(form), form.camera
-        known = self.depth[self.depth > 0]
+    def __init__(self, number: int, views: FrameResolutions, mask: np.ndarray, at: TrackedPose) -> None:
+        seen = ObjectView(views, mask)
+        self.number, self.T_world_camera, self.submap = number, inverse(at.T_camera_object), at.submap
+        depth, luma = seen.object_depth, views.luma(seen.resolution)
+        self.sample = DepthSample(depth, luma, None, seen.resolution.camera)
+        known = depth[depth > 0]
         self.distance_m = float(np.median(known)) if len(known) else 1.0
         self._view: ModelView | None = None
 
@@ -63,7 +70,7 @@ class _View:
     def view(self) -> ModelView:
         """The keyframe as something to register with; the object's frame is its camera's."""
         if self._view is None:
-            self._view = frame_view(self.depth, self.luma, None, self.camera, identity())
+            self._view = view_of_frame(self.sample, identity())
         return self._view
 
 
@@ -83,7 +90,7 @@ def key_numbers(poses: Sequence[Pose | None], distance_m: float) -> list[int]:
         widest *= 1.3
 
 
-def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | None:
+def closed_loops(scene: Scene, frames: FrameSequence) -> list[TrackedPose | None] | None:
     """Return where the background is in every frame when its keyframes have been made to agree with each other.
 
     None where no place is seen again after a while, or poses agree already.
@@ -108,7 +115,7 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[Located | None] | 
     return corrected(found, corrections)
 
 
-def corrected(found: Sequence[Located | None], corrections: dict[int, Pose]) -> list[Located | None]:
+def corrected(found: Sequence[TrackedPose | None], corrections: dict[int, Pose]) -> list[TrackedPose | None]:
     """Return located frames moved as the corrections of the world say, between two of them by a share of both.
 
     Parameters
@@ -119,7 +126,7 @@ def corrected(found: Sequence[Located | None], corrections: dict[int, Pose]) -> 
         By frame, motions of the camera in the world; at least one.
     """
     numbers = sorted(corrections)
-    result: list[Located | None] = []
+    result: list[TrackedPose | None] = []
     for frame, at in enumerate(found):
         after = next((k for k in numbers if k >= frame), numbers[-1])
         before = next((k for k in reversed(numbers) if k <= frame), numbers[0])
@@ -133,7 +140,7 @@ def _links(keys: Sequence[_View], scene: Scene) -> list[Link]:
     """Return the motion from each keyframe to the next, and what registration with earlier ones finds."""
     links = []
     for second in range(1, len(keys)):
-        if keys[second].part == keys[second - 1].part:  # how parts lie to each other is not known
+        if keys[second].submap == keys[second - 1].submap:  # how parts lie to each other is not known
             links.append(_step(keys, second))
         for first in _partners(keys, second):
             link = _link(keys, first, second, scene)
@@ -163,13 +170,13 @@ def _step(keys: Sequence[_View], second: int) -> Link:
 
 def _link(keys: Sequence[_View], first: int, second: int, scene: Scene) -> Link | None:
     a, b = keys[first], keys[second]
-    seen, sigma_m = (b.depth, b.luma, None, b.camera, a.view), scene.sensor_of(0).sigma_m
-    threads = scene.config.threads
+    sigma_m, threads = scene.sensor_of(0).sigma_m, scene.config.threads
+    problem = RegistrationProblem(sample=b.sample, view=a.view, sigma_m=sigma_m, config=PAIRWISE, threads=threads)
     guess = inverse(b.T_world_camera) @ a.T_world_camera
-    found = register_from_starts(*seen, guess, sigma_m=sigma_m, config=PAIRWISE, threads=threads)
-    if found.status is Status.LOST or found.overlap < MIN_OVERLAP or found.inlier_fraction < MIN_INLIERS:
+    found = register_multi_start(problem, guess)
+    if found.status is PoseStatus.LOST or found.overlap < MIN_OVERLAP or found.inlier_fraction < MIN_INLIERS:
         return None
-    information = Alignment(*seen, sigma_m, PAIRWISE, threads).information(found.T_camera_object)
+    information = Alignment(problem).information(found.T_camera_object)
     if information is None:
         return None
     return Link(

@@ -10,13 +10,13 @@ import numpy as np
 from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.encoder.segmentation.moving_body import LOST_FRAMES
 from threedvc.encoder.segmentation.sequence_labels import Division
-from threedvc.encoder.tracking.joint_registration import Sight
-from threedvc.encoder.tracking.pose_track import UNSEEN, Located
-from threedvc.encoder.tracking.registration import Status
-from threedvc.encoder.tracking.tracker import PART_CELLS
+from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.tracking.pose_track import TrackedPose
+from threedvc.encoder.tracking.track_state import SUBMAP_SPACING_CELLS
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, make_pose
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["ObjectPlacement"]
 
@@ -45,14 +45,14 @@ class ObjectPlacement:
     ) -> None:
         self._objects, self._rigs, self._labels, self._alone = objects, rigs, labels, alone
 
-    def place(self, item: SceneObject, views: Sequence[Sight]) -> Located | None:
+    def place(self, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose | None:
         """Find an object in the frames of a moment.
 
         It is looked for where it went on in the background, not before the camera.
         """
         motion = self._background_motion(views[0].views.frame.index) if item.number and item.born is not None else None
         if motion is not None and item.tracker is not None:
-            item.tracker.carry(motion)
+            item.tracker.apply_background_motion(motion)
         if self._labels is None or not item.number or (item.born is None and not item.passing):
             return self._labelled(item, views, motion)
         if item.passing:
@@ -64,14 +64,14 @@ class ObjectPlacement:
         world = self._objects[0].poses[:frame]
         return [T_camera_world @ inverse(world[0]) @ AWAY for T_camera_world in world]
 
-    def _labelled(self, item: SceneObject, views: Sequence[Sight], motion: Pose | None) -> Located | None:
+    def _labelled(self, item: SceneObject, views: Sequence[ObjectView], motion: Pose | None) -> TrackedPose | None:
         """Place the background, or an object that labels show: where it is found, else where it rested."""
         at = item.locate(views, self._rigs, self._alone)
         if at is not None or motion is None:
             return at
-        return Located(T_camera_object=motion @ item.poses[-1], status=UNSEEN)
+        return TrackedPose(T_camera_object=motion @ item.poses[-1], status=PoseStatus.UNSEEN)
 
-    def _found_by_motion(self, labels: Division, item: SceneObject, views: Sequence[Sight]) -> Located:
+    def _found_by_motion(self, labels: Division, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose:
         """Place an object found by its motion: out of sight it stays in the background where it was, or is gone."""
         frame = views[0].views.frame
         at = self._registered_again(labels, item, views) if labels.is_seen(item.number, frame) else None
@@ -83,9 +83,9 @@ class ObjectPlacement:
         T_camera_object = self._at_rest_in_background(item)
         if gone and np.linalg.norm(T_camera_object[:3, 3]) < AWAY_M / 2:
             T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
-        return Located(T_camera_object=T_camera_object, status=UNSEEN)
+        return TrackedPose(T_camera_object=T_camera_object, status=PoseStatus.UNSEEN)
 
-    def _registered_again(self, labels: Division, item: SceneObject, views: Sequence[Sight]) -> Located | None:
+    def _registered_again(self, labels: Division, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose | None:
         """Register an object, from where its labels say that it went if it was out of sight."""
         if item.out_of_sight and item.tracker is not None:
             motion = labels.way(item.number, item.last_seen, views[0].views.frame.index)
@@ -97,14 +97,14 @@ class ObjectPlacement:
         last, world = item.poses[-1], self._objects[0].poses
         return last if np.array_equal(world[-1], world[-2]) else world[-1] @ inverse(world[-2]) @ last
 
-    def _transient(self, labels: Division, item: SceneObject, frame: Frame) -> Located:
+    def _transient(self, labels: Division, item: SceneObject, frame: Frame) -> TrackedPose:
         """Place what is there for a moment, apart from what had its number before; away where there is nothing."""
         at = labels.passing(item.number, frame)
         if at is None:
             away = self.away_before(frame.index + 1)[-1] if self._objects[0].poses else AWAY
-            return Located(T_camera_object=away, status=UNSEEN)
-        apart = np.array([0.0, -at.life * PART_CELLS * item.evidence.voxel_size_m, 0.0])
-        return Located(T_camera_object=at.T_camera_object @ make_pose(np.eye(3), apart), status=Status.TRACKED)
+            return TrackedPose(T_camera_object=away, status=PoseStatus.UNSEEN)
+        apart = np.array([0.0, -at.life * SUBMAP_SPACING_CELLS * item.evidence.voxel_size_m, 0.0])
+        return TrackedPose(T_camera_object=at.T_camera_object @ make_pose(np.eye(3), apart), status=PoseStatus.TRACKED)
 
     def _background_motion(self, frame: int) -> Pose | None:
         """Return how the background moved before the base since the moment before a frame; None if it did not."""

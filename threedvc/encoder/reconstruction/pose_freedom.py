@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from threedvc.encoder.tracking.pose_track import Located
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
 
@@ -18,7 +18,7 @@ MAX_REST_PIXELS = 0.5
 MIN_DISTANCE_M = 1e-6
 
 
-def hardly_moves(found: Sequence[Located | None], rigs: Sequence[CameraRig], distance_m: float) -> bool:
+def hardly_moves(found: Sequence[TrackedPose | None], rigs: Sequence[CameraRig], distance_m: float) -> bool:
     """Tell whether all poses at which an object was tracked lie within half a pixel of the first one."""
     tracked = [at.T_camera_object for at in found if at is not None and at.usable]
     focal = max(rig.depth.fx for rig in rigs)

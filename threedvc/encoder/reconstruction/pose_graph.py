@@ -15,16 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threedvc.arrays import Doubles
-from threedvc.geometry.pose import (
-    Pose,
-    adjoint,
-    compose,
-    inverse,
-    make_pose,
-    orthonormalised,
-    rotation_from_vector,
-    twist_of,
-)
+from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, log_motion, orthonormalised
 
 __all__ = ["Link", "optimised"]
 
@@ -76,20 +67,16 @@ def optimised(poses: Sequence[Pose], links: Sequence[Link]) -> list[Pose]:
         free = matrix[6:, 6:] + 1e-9 * np.trace(matrix) / len(side) * np.eye(len(side) - 6)
         step = -np.linalg.solve(free, side[6:])
         poses[1:] = [
-            orthonormalised(compose(_motion(step[6 * k : 6 * k + 6]), pose)) for k, pose in enumerate(poses[1:])
+            orthonormalised(compose(exp_motion(step[6 * k : 6 * k + 6]), pose)) for k, pose in enumerate(poses[1:])
         ]
         if turn >= GRADES and np.abs(step).max() < CONVERGED:
             break
     return poses
 
 
-def _motion(twist: Doubles) -> Pose:
-    return make_pose(rotation_from_vector(twist[:3]), twist[3:])
-
-
 def _add(link: Link, poses: Sequence[Pose], bound: float, matrix: Doubles, side: Doubles) -> None:
     T_first_world = inverse(poses[link.first])
-    error = twist_of(T_first_world @ poses[link.second] @ inverse(link.T_first_second))
+    error = log_motion(T_first_world @ poses[link.second] @ inverse(link.T_first_second))
     squares = float(error @ link.information @ error)
     weighted = link.information * (1 + squares / bound**2) ** -2
     slope = adjoint(T_first_world)

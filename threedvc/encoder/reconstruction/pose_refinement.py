@@ -15,24 +15,26 @@ import numpy as np
 
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.tracking.joint_registration import Sight, refined, refound
-from threedvc.encoder.tracking.pose_track import UNSEEN, Located, Script, pose_between
+from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.tracking.joint_registration import RegistrationSettings, relocalise_near, reregister
+from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, pose_between
 from threedvc.encoder.tracking.registration import RegistrationConfig
 from threedvc.frames.sequence import FrameSequence, moments
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["refined_script"]
 
 
-def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> Script:
+def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> PoseTracks:
     """Register every object in every frame once more; one that rests in the script goes on resting.
 
     One that was lost is looked for on the way between the frames before and after, and left there if it is not found.
     """
-    script: Script = {number: [] for number in scene.objects}
+    script: PoseTracks = {number: [] for number in scene.objects}
     for moment in moments(map(scene.limited, frames), scene.info):
         looks = [(scene.views(frame), scene.labels(frame)) for frame in moment]
         for number, item in scene.objects.items():
-            sights = [Sight(views, labels == number) for views, labels in looks]
+            sights = [ObjectView(views, labels == number) for views, labels in looks]
             script[number] += [_refined(scene, item, sights, script[number], config)] * len(moment)
     return script
 
@@ -40,21 +42,22 @@ def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConf
 def _refined(
     scene: Scene,
     item: SceneObject,
-    sights: Sequence[Sight],
-    before: list[Located | None],
+    sights: Sequence[ObjectView],
+    before: list[TrackedPose | None],
     config: RegistrationConfig | None,
-) -> Located | None:
+) -> TrackedPose | None:
     frame = sights[0].views.frame
-    at, sensors = item.found[frame.index], [scene.sensor_of(sight.views.frame.sensor) for sight in sights]
-    if at is None or at.status == UNSEEN:
+    at, default = item.found[frame.index], RegistrationConfig()
+    settings = RegistrationSettings(sensor_of=scene.sensor_of, threads=scene.config.threads, config=config or default)
+    if at is None or at.status is PoseStatus.UNSEEN:
         return at
     if not at.usable:
         between = pose_between(item.found, frame.index)
-        return refound(at, between, sights, item.evidence, sensors, scene.config.threads)
+        return relocalise_near(at, between, sights, item.evidence, replace(settings, config=default))
     if frame.index and before[-1] is not None:
         previous = item.found[frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):
             return replace(at, T_camera_object=before[-1].T_camera_object)
     if item.is_given(at):
         return at
-    return refined(at, sights, item.evidence, sensors, scene.config.threads, config)
+    return reregister(at, sights, item.evidence, settings)

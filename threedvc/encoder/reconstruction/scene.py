@@ -20,21 +20,21 @@ from threedvc.encoder.reconstruction.pose_freedom import hardly_moves
 from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject
 from threedvc.encoder.segmentation.masks import resolved_mode, segment
 from threedvc.encoder.segmentation.sequence_labels import NOTHING, PASSING_NUMBERS, Division
+from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.tracking.given_poses import motion_of
 from threedvc.encoder.tracking.initial_poses import predict
-from threedvc.encoder.tracking.joint_registration import Sight
-from threedvc.encoder.tracking.model_view import FrameViews
-from threedvc.encoder.tracking.pose_track import UNSEEN, Located, motion_of
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.pose import Pose
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["Scene"]
 
 MIN_PATIENCE = 5
 """Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
-STATUS_ORDER = ("known", "tracked", "relocalised", "weak", "lost")
 
 
 class Scene:
@@ -68,7 +68,7 @@ class Scene:
         self,
         info: SequenceInfo,
         config: EncoderConfig,
-        poses: Mapping[int, Sequence[Located | None]] | None = None,
+        poses: Mapping[int, Sequence[TrackedPose | None]] | None = None,
         division: Division | None = None,
         *,
         luma_weight: float = 1.0,
@@ -109,7 +109,7 @@ class Scene:
         scene.config = config
         return scene
 
-    def add(self, *frames: Frame) -> str:
+    def add(self, *frames: Frame) -> PoseStatus:
         """Take in the frames of one moment: segment, locate, fuse. Return the worst status of their objects.
 
         Raises
@@ -118,15 +118,15 @@ class Scene:
             If a frame does not fit the sequence.
         """
         prepared = [self._prepared(frame) for frame in frames]
-        worst = STATUS_ORDER[0]
+        worst = PoseStatus.KNOWN
         for number in self._numbers_in(prepared):
-            views = [Sight(each.views, each.labels == number) for each in prepared]
+            views = [ObjectView(each.views, each.labels == number) for each in prepared]
             item = self._object(number, views)
             if item is None:
                 continue
             at = self._placed(item, views)
-            if at is not None and at.status != UNSEEN:
-                worst = max(worst, str(at.status), key=STATUS_ORDER.index)
+            if at is not None and at.status is not PoseStatus.UNSEEN:
+                worst = max(worst, at.status, key=lambda status: status.doubt)
             for each, view in zip(prepared, views, strict=True):
                 self._record(item, each.seen.frame, at)
                 if at is not None and at.usable and not self.records[each.seen.frame].repeated:
@@ -146,12 +146,12 @@ class Scene:
         numbers = {0, *self.objects}.union(*(np.unique(frame.labels).tolist() for frame in frames))
         return sorted(numbers - {NOTHING} if self.division else numbers)
 
-    def _placed(self, item: SceneObject, views: Sequence[Sight]) -> Located | None:
+    def _placed(self, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose | None:
         if self._poses is not None:
             return self._poses[item.number][views[0].views.frame.index]
         return self._placement.place(item, views)
 
-    def _record(self, item: SceneObject, frame: int, at: Located | None) -> None:
+    def _record(self, item: SceneObject, frame: int, at: TrackedPose | None) -> None:
         item.record(frame, at)
         if self.division is not None and item.number and item.born == frame:
             # Before, it was not there, or was taken for the background.
@@ -199,7 +199,7 @@ class Scene:
         """Return the noise of a sensor's depth: the one asked for, or guessed from its first frame."""
         return self._intake.sensor_of(number)
 
-    def views(self, frame: Frame) -> FrameViews:
+    def views(self, frame: Frame) -> FrameResolutions:
         """Return the resolutions of a frame for registration."""
         return self._intake.views(frame)
 
@@ -216,7 +216,7 @@ class Scene:
     def _one_object(self) -> bool:
         return self.config.segmentation.mode is SegmentationMode.DEPTH
 
-    def _object(self, number: int, views: Sequence[Sight]) -> SceneObject | None:
+    def _object(self, number: int, views: Sequence[ObjectView]) -> SceneObject | None:
         """Return an object, new where enough pixels of a frame show it for the first time."""
         shown = [int(np.count_nonzero(view.mask & (view.views.frame.depth > 0))) for view in views]
         best = views[int(np.argmax(shown))]

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import EntropyMeter
-from threedvc.encoder.tracking.joint_registration import Sight
-from threedvc.encoder.tracking.pose_track import UNSEEN, Located, known_pose
+from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.tracking.given_poses import known_pose
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, identity
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["MIN_PIXELS", "SceneObject"]
 
@@ -58,7 +60,7 @@ class SceneObject:
         self.evidence = EvidenceModel(voxel_size_m)
         self.tracker = tracker
         self.entropy = EntropyMeter(self.evidence)
-        self.found: list[Located | None] = []
+        self.found: list[TrackedPose | None] = []
         self.poses: list[Pose] = []
         self.born: int | None = None
         self.sized_by = 0
@@ -72,20 +74,20 @@ class SceneObject:
         self._last_sight = np.zeros(0, dtype=np.int64)
         self.sized_by = pixels
 
-    def locate(self, sights: Sequence[Sight], rigs: Sequence[CameraRig], alone: bool) -> Located | None:
+    def locate(self, sights: Sequence[ObjectView], rigs: Sequence[CameraRig], alone: bool) -> TrackedPose | None:
         """Find the object in the frames of a moment; None where it is not seen and its pose is not known."""
         if self.tracker is None:
             known = ((views.rig, known_pose(self.number, views.frame, alone)) for views, _ in sights)
             pose = next((rig.at_base(pose) for rig, pose in known if pose is not None), None)
-            return None if pose is None else Located(T_camera_object=pose, status="known")
+            return None if pose is None else TrackedPose(T_camera_object=pose, status=PoseStatus.KNOWN)
         seeing = [each for each in sights if np.count_nonzero(each.mask & (each.views.frame.depth > 0)) >= MIN_PIXELS]
         if not seeing:
             views = sights[0].views
             blind = self.number == 0 and self.born is not None and not views.frame.depth.any()
             return self.tracker.locate_by_picture(views) if blind else None
         if self.born is None:
-            return self.tracker.start(*seeing[0], self.number, *rigs)
-        return self.tracker.locate_together(seeing, self.evidence)
+            return self.tracker.start(seeing[0], self.number, *rigs)
+        return self.tracker.locate(seeing, self.evidence)
 
     def note_sight(self, numbers: NDArray[np.int64], frame: int) -> None:
         """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
@@ -106,16 +108,16 @@ class SceneObject:
             self._stayed = len(self.found), all(np.array_equal(pose, usable[0]) for pose in usable)
         return self._stayed[1]
 
-    def is_given(self, at: Located) -> bool:
+    def is_given(self, at: TrackedPose) -> bool:
         """Tell whether a pose is to be taken as it is.
 
         Poses of a hand-held camera are worth refining. Those of labelled objects are not: given ones are made
         on purpose, tracked ones would follow the shades of the model's colours. A background without camera
         poses stands still, and so does one that was tracked and never moved.
         """
-        if self.number > 0 or (at.status == "known" and not self._given_camera):
+        if self.number > 0 or (at.status is PoseStatus.KNOWN and not self._given_camera):
             return True
-        return at.status != "known" and self.stayed
+        return at.status is not PoseStatus.KNOWN and self.stayed
 
     @property
     def may_move(self) -> bool:
@@ -135,9 +137,9 @@ class SceneObject:
     @property
     def out_of_sight(self) -> bool:
         """Whether it was not in sight in the last frame."""
-        return bool(self.found) and self.found[-1] is not None and self.found[-1].status == UNSEEN
+        return bool(self.found) and self.found[-1] is not None and self.found[-1].status is PoseStatus.UNSEEN
 
-    def record(self, frame: int, at: Located | None) -> None:
+    def record(self, frame: int, at: TrackedPose | None) -> None:
         """Keep where the object was found in a frame; frames before it appeared count as not found."""
         if at is not None and self.born is None:
             self.born = frame

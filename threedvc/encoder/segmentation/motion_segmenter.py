@@ -25,14 +25,15 @@ from threedvc.encoder.fusion.integration import Observation, fuse, observe
 from threedvc.encoder.segmentation.downsampling import Reduction
 from threedvc.encoder.segmentation.free_space import Memory
 from threedvc.encoder.segmentation.moving_body import HUES, LOST_FRAMES, Body
-from threedvc.encoder.tracking.model_view import FrameViews, Thinned, cast_view
-from threedvc.encoder.tracking.registration import Status
+from threedvc.encoder.tracking.frame_resolutions import Downsampled, FrameResolutions, ObjectView
+from threedvc.encoder.tracking.model_view import raycast_model
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SensorModel, chosen_sensor, within
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_angle
 from threedvc.kernels.encoder.free_space import connect_surfaces
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = [
     "PASSING",
@@ -83,7 +84,7 @@ class _Look:
     """A frame under division."""
 
     frame: Frame
-    views: FrameViews
+    views: FrameResolutions
     seen: Observation
     moving: Mask
     transient: Floats
@@ -107,7 +108,7 @@ class Divider:
         self.info, self.config, self.threads = info, config, config.threads
         self.reduction = Reduction(info)
         self.rig = self.reduction.rig
-        self._form, self._coarse = (Thinned(self.rig, n, sparse=False, flat=True) for n in (1, 2))
+        self._form, self._coarse = (Downsampled(self.rig, n, sparse=False, flat=True) for n in (1, 2))
         self._of_room = self._coarse if self.rig.depth.width * self.rig.depth.height > COARSE_PIXELS else self._form
         self._rays = self.rig.depth.rays()
         self.sensor: SensorModel | None = None
@@ -143,12 +144,12 @@ class Divider:
         if self._known:
             return None if frame.T_world_camera is None else inverse(frame.T_world_camera)
         everything = np.ones(frame.depth.shape, dtype=np.bool_)
-        views = FrameViews(frame, self._of_room, self._of_room)
+        views = FrameResolutions(frame, self._of_room, self._of_room)
         if self._room is None:
             self._room, self._still = EvidenceModel(_room_cell(frame.depth, self.rig)), everything
-            at = self._camera.start(views, everything, 0, self.rig)
+            at = self._camera.start(ObjectView(views, everything), 0, self.rig)
         else:
-            at = self._camera.locate(views, self._still, self._room)
+            at = self._camera.locate([ObjectView(views, self._still)], self._room)
         if not at.usable:
             self._still = everything
             return None
@@ -244,7 +245,7 @@ class Divider:
         sigma = self.sensor.sigma_m(depth.astype(np.float64)).astype(np.float32)
         return _Look(
             frame=frame,
-            views=FrameViews(frame, self._form, self._form),
+            views=FrameResolutions(frame, self._form, self._form),
             seen=observe(frame, self.rig, self._rays),
             moving=moving,
             transient=through / np.maximum(through.astype(np.float32) + on, 1),
@@ -269,7 +270,7 @@ class Divider:
         index = look.frame.index
         at = None
         if np.count_nonzero(mask) >= LEAST_PIXELS:
-            at = body.tracker.locate(look.views, mask, body.model, near=not self.is_object(body))
+            at = body.tracker.locate([ObjectView(look.views, mask)], body.model, near=not self.is_object(body))
         if at is None or not at.usable:
             body.lost += 1
             patience = LOST_FRAMES if index - body.born >= YOUNG_FRAMES else 1
@@ -279,11 +280,11 @@ class Divider:
         body.found[index] = at
 
     def _view(self, body: Body, pose: Pose) -> Floats:
-        return cast_view(body.model, self._form, pose, self.threads).depth
+        return raycast_model(body.model, self._form, pose, self.threads).depth
 
     def _coarse_view(self, body: Body, pose: Pose) -> Floats:
         """Return what a quarter of the rays show, each for four pixels."""
-        depth, size = cast_view(body.model, self._coarse, pose, self.threads).depth, self.rig.depth
+        depth, size = raycast_model(body.model, self._coarse, pose, self.threads).depth, self.rig.depth
         return depth.repeat(2, axis=0).repeat(2, axis=1)[: size.height, : size.width]
 
     def _nearest(self, look: _Look, views: Sequence[tuple[Body, Floats]], gate: Floats) -> Labels:
@@ -361,8 +362,8 @@ class Divider:
             last = body.found[body.last].T_camera_object
             # Where the body is seen as a whole: at its last pose it may be half out of the picture.
             body.tracker.resume(make_pose(last[:3, :3], self._middle(look, mask)))
-            at = body.tracker.locate(look.views, mask, body.model)
-            if at.status != Status.TRACKED:
+            at = body.tracker.locate([ObjectView(look.views, mask)], body.model)
+            if at.status is not PoseStatus.TRACKED:
                 body.tracker.resume(last)
                 continue
             view = self._view(body, at.T_camera_object)
@@ -485,7 +486,7 @@ class Divider:
         body = Body(
             number, frame.index, _cell(frame.depth, mask, self.rig), Tracker(self.sensor, self.threads, recovers=False)
         )
-        body.found[frame.index] = body.tracker.start(look.views, mask, number, self.rig)
+        body.found[frame.index] = body.tracker.start(ObjectView(look.views, mask), number, self.rig)
         body.radius = float(np.sqrt(np.sum((frame.depth[mask] / self.rig.depth.fx) ** 2) / np.pi))
         self.bodies.append(body)
         return body
@@ -517,8 +518,9 @@ class Divider:
         if np.count_nonzero(free) < LEAST_PIXELS:
             return None
         body.tracker.resume(body.found[min(body.found)].T_camera_object)
-        at = body.tracker.locate(FrameViews(self.limited(frame), self._form, self._form), free, body.model)
-        if at.status != Status.TRACKED:
+        views = FrameResolutions(self.limited(frame), self._form, self._form)
+        at = body.tracker.locate([ObjectView(views, free)], body.model)
+        if at.status is not PoseStatus.TRACKED:
             return None
         body.found[frame.index] = at
         mask = self.shown(body, frame)

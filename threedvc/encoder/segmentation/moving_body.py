@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.tracking.initial_poses import predict
-from threedvc.encoder.tracking.pose_track import Located
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.geometry.pose import Pose, inverse
 
@@ -29,7 +29,7 @@ class Body:
         self.number, self.born = number, born
         self.model = EvidenceModel(voxel_size_m)
         self.tracker = tracker
-        self.found: dict[int, Located] = {}
+        self.found: dict[int, TrackedPose] = {}
         self.fit: dict[int, float] = {}
         self.passing: dict[int, float] = {}
         self.pixels: dict[int, int] = {}

@@ -15,67 +15,51 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from threedvc.arrays import Doubles, Floats, Mask
-from threedvc.encoder.tracking.frame_samples import (
-    MAX_JUMP,
-    SMALLEST_SIDE,
-    Samples,
-    detail,
-    halved,
-    level_samples,
-    masked_luma,
-    normal_reach,
-)
+from threedvc.arrays import Doubles
+from threedvc.encoder.tracking.associations import TUKEY_BOUND, Associations, measure_associations, median_of_known
+from threedvc.encoder.tracking.frame_samples import level_samples, luma_levels, sample_surface
 from threedvc.encoder.tracking.registration_types import (
-    ModelView,
     Registration,
     RegistrationConfig,
-    Sigma,
-    Status,
+    RegistrationProblem,
     camera_rays,
-    check_size,
 )
-from threedvc.errors import ConfigError
-from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse, make_pose, orthonormalised, rotation_angle, rotation_from_vector
 from threedvc.kernels.encoder import registration as kernels
 from threedvc.parallel import for_ranges
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["Alignment"]
 
 CHUNK = 512
+"""Samples that are summed up in one go: sums are added chunk by chunk, so that they do not depend on threads."""
 THREADED_SAMPLES = 32768
-MEDIAN_SAMPLES = 2048
+"""Below this, handing work to threads takes longer than the work."""
 AGREEING_SAMPLES = 768
+"""So many tell which directions are determined: the answer needs no more than the order of magnitude."""
 MIN_ASSOCIATED = 12
-MAD_TO_SIGMA = 1.4826
-MIN_DEPTH_SCALE = 0.5
-MAX_DEPTH_SCALE = 2.0
+"""Fewer samples leave the six unknowns of motion to chance, even at the coarsest level."""
 GATE_SIGMAS = 6.0
-TUKEY_BOUND = 4.685
+"""Points are associated up to this distance in sigmas of their depth, where sensors are too noisy for the gates in
+parts of the depth."""
 STRONG_SLOPE = 32.0
+"""Levels from one pixel to the next of a picture that tells motion as well as luma can: a sharp border of two shades,
+blurred by the lens."""
 GAIN_PRIOR = 100.0
+"""Weight of the gain of luma against 1: without it, the gain of a plain picture is anything."""
+OFFSET_PRIOR = 1e-9
+"""That of the offset: next to none, only so that there is a solution without any luma."""
 MAX_STEP_RAD = 0.3
+"""A larger turn is no small one any more: the step is shortened."""
 COARSE_CONVERGENCE = 0.05
+"""Pixels of the level's own picture below which no other step is taken; the next level refines the pose anyway."""
 FINE_CONVERGENCE = 0.02
-INLIER_SIGMAS = 3.0
-INLIER_DEPTH = 0.01
-INLIER_M = 0.005
-"""Real sensors are wrong by some millimetres however smooth their depth and however near the surface."""
-INLIER_LUMA = 30.0
+"""The same at the finest level: well below `RegistrationConfig.rest_pixels`."""
 MIN_TEST_BLOCKS = 8
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Samples associated at one pose, see `kernels.associate`, with measured scales and exposure."""
-
-    rows: Doubles
-    states: NDArray[np.uint8]
-    scales: Doubles
-    exposure: Doubles
+"""Fewer blocks of samples do not tell the scatter of their means."""
+TINY = 1e-12
+"""Keeps divisions by what may be 0 finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,37 +75,21 @@ class _Step:
 class Alignment:
     """One frame against one view: the samples and luma pictures of every level.
 
-    Parameters are those of `register`, which is the usual way in; keep an alignment to try many poses.
+    `threedvc.encoder.tracking.registration.register` is the usual way in; keep an alignment to try many poses.
     """
 
-    def __init__(
-        self,
-        depth: Floats,
-        intensity: Floats,
-        mask: Mask | None,
-        camera: Camera,
-        view: ModelView,
-        sigma_m: Sigma,
-        config: RegistrationConfig,
-        threads: int,
-    ) -> None:
-        size = (camera.height, camera.width)
-        check_size("depth", depth, size)
-        check_size("intensity", intensity, size)
-        if mask is not None:
-            check_size("mask", mask, size)
-        if view.camera != camera:
-            raise ConfigError("the view was cast with another camera than the frame's")
-        self.camera, self.view, self.config, self.threads = camera, view, config, threads
-        self.rays, self.parameters = camera_rays(camera), camera.parameters()
-        self.view_lumas = self._luma_levels(view.intensity)
-        surface, sigma = self._sample_surface(depth, mask, sigma_m)
-        lumas = self._luma_levels(masked_luma(intensity, mask))
+    def __init__(self, problem: RegistrationProblem) -> None:
+        sample, config = problem.sample, problem.config
+        self.camera, self.view, self.config, self.threads = sample.camera, problem.view, config, problem.threads
+        self.rays, self.parameters = camera_rays(self.camera), self.camera.parameters()
+        self.view_lumas = luma_levels(self.view.intensity, config)
+        surface, sigma = sample_surface(sample, problem.sigma_m, config.samples)
+        lumas = luma_levels(sample.masked_luma, config)
         self.samples = [level_samples(surface, sigma, luma, level) for level, luma in enumerate(lumas)]
         # Medians, because a few readings may be absurdly far.
-        self.centre = np.median(surface[:, :3], axis=0) if len(surface) else np.array([0.0, 0.0, 1.0])
-        ways = np.linalg.norm(surface[:, :3] - self.centre, axis=1)
-        self.radius = _median(ways, 1.0) + 1e-9
+        self.center = np.median(surface[:, :3], axis=0) if len(surface) else np.array([0.0, 0.0, 1.0])
+        distances = np.linalg.norm(surface[:, :3] - self.center, axis=1)
+        self.radius = median_of_known(distances, 1.0) + 1e-9
 
     def solve(self, T_guess: Pose, *, finest: int = 0) -> Registration:
         """Refine a pose from the coarsest level to level `finest` and judge the result."""
@@ -148,20 +116,20 @@ class Alignment:
         """Refine a guess; lost, with the guess as its pose, if what is found is bad or implausibly far from it."""
         found = self.solve(T_guess)
         change = found.T_camera_object @ inverse(T_guess)
-        shift = float(np.linalg.norm(change[:3, :3] @ self.centre + change[:3, 3] - self.centre))
-        near = shift <= self.config.max_shift * self.centre[2] and rotation_angle(change) <= self.config.max_turn_rad
-        if near and found.status is not Status.LOST:
+        shift = float(np.linalg.norm(change[:3, :3] @ self.center + change[:3, 3] - self.center))
+        near = shift <= self.config.max_shift * self.center[2] and rotation_angle(change) <= self.config.max_turn_rad
+        if near and found.status is not PoseStatus.LOST:
             return found
-        return replace(found, status=Status.LOST, T_camera_object=T_guess)
+        return replace(found, status=PoseStatus.LOST, T_camera_object=T_guess)
 
     def displacement_pixels(self, T_a: Pose, T_b: Pose) -> float:
-        """Return the RMS way of the samples between two poses of the object, in pixels at their depth."""
+        """Return the RMS displacement of the samples between two poses of the object, in pixels at their depth."""
         points = self.samples[-1].surface[:, :3]
         if not len(points):
             return 0.0
         T_a_b = T_a @ inverse(T_b)
-        ways = points @ (T_a_b[:3, :3] - np.eye(3)).T + T_a_b[:3, 3]
-        return float(np.sqrt(np.mean(np.sum(ways**2, axis=1) / points[:, 2] ** 2))) * self.camera.fx
+        displacements = points @ (T_a_b[:3, :3] - np.eye(3)).T + T_a_b[:3, 3]
+        return float(np.sqrt(np.mean(np.sum(displacements**2, axis=1) / points[:, 2] ** 2))) * self.camera.fx
 
     def excess_cost(self, T_camera_object: Pose, T_best: Pose) -> float:
         """Return by how many standard errors a pose fits worse than the best one; infinite if it cannot be told."""
@@ -169,15 +137,14 @@ class Alignment:
         other = self._associate(self._view_frame(T_camera_object), 0, None)
         if best is None or other is None:
             return np.inf
-        samples = self.samples[0]
-        difference = _costs(other, samples, best.scales) - _costs(best, samples, best.scales)
+        difference = other.costs(best.scales) - best.costs(best.scales)
         difference = difference[np.isfinite(difference)]
         blocks = np.array_split(difference, max(MIN_TEST_BLOCKS, round(np.sqrt(len(difference)))))
         means = np.array([block.mean() for block in blocks if len(block)])
         if len(means) < MIN_TEST_BLOCKS:
             return np.inf
         error = float(means.std(ddof=1) / np.sqrt(len(means)))
-        return float(means.mean() / max(error, 1e-12))
+        return float(means.mean() / max(error, TINY))
 
     def information(self, T_camera_object: Pose) -> Doubles | None:
         """Return how surely the residuals determine a pose; None where too few samples meet the model.
@@ -192,52 +159,26 @@ class Alignment:
         fit = self._associate(T_view_frame, 0, None)
         if fit is None:
             return None
-        depth, luma = self._normal_equations(fit, self.samples[0], np.zeros(3))
+        depth, luma = self._normal_equations(fit, np.zeros(3))
         coupling = np.linalg.solve(luma[6:, 6:8], luma[6:, :6])
         return np.asarray(depth[:6, :6] + luma[:6, :6] - luma[:6, 6:8] @ coupling)
 
     def _view_frame(self, T_camera_object: Pose) -> Pose:
         return self.view.T_camera_object @ inverse(T_camera_object)
 
-    def _luma_levels(self, luma: Floats) -> list[Floats]:
-        """Return the luma of every level, the finest against its local mean."""
-        config = self.config
-        count = min(config.levels, 1 + int(np.log2(max(1.0, min(luma.shape) / SMALLEST_SIDE))))
-        pictures = [np.ascontiguousarray(luma, dtype=np.float32)]
-        for _ in range(count - 1):
-            pictures.append(halved(pictures[-1]))
-        if config.detail_pixels:
-            pictures[0] = detail(pictures[0], config.detail_pixels)
-        return pictures
-
-    def _sample_surface(self, depth: Floats, mask: Mask | None, sigma_m: Sigma) -> tuple[Doubles, Doubles]:
-        """Return the samples with surface and their depth noise."""
-        inside = np.ones(depth.shape, dtype=np.bool_) if mask is None else np.ascontiguousarray(mask)
-        depth = np.ascontiguousarray(depth)
-        stride = max(1, round(np.sqrt(np.count_nonzero(inside & (depth > 0)) / self.config.samples)))
-        height, width = depth.shape
-        grid = np.zeros((max(1, height // stride), max(1, width // stride), 8))
-        reach = normal_reach(self.camera)
-        kernels.sample_frame(depth, inside, self.rays, stride, reach, MAX_JUMP, grid, 0, len(grid))
-        surface = grid[grid[:, :, 2] > 0]
-        if callable(sigma_m):
-            return surface, np.ascontiguousarray(sigma_m(surface[:, 2]), dtype=np.float64)
-        columns, rows = surface[:, 6].astype(np.intp), surface[:, 7].astype(np.intp)
-        return surface, sigma_m[rows, columns].astype(np.float64)
-
     def _run(self, work: Callable[[int, int], object], chunks: int) -> None:
-        # Below this, handing work to threads takes longer than the work.
         threads = self.threads if chunks * CHUNK >= THREADED_SAMPLES else 1
         for_ranges(work, chunks, threads)
 
     def _gates(self, level: int) -> Doubles:
+        """Return the gates (3,) of `kernels.associate` at a level, between those of the coarsest and the finest."""
         config, coarsest = self.config, len(self.samples) - 1
         part = level / coarsest if coarsest else 0.0
         distance = config.fine_gate + part * (config.coarse_gate - config.fine_gate)
         angle = config.fine_angle_rad + part * (config.coarse_angle_rad - config.fine_angle_rad)
         return np.array([distance, GATE_SIGMAS, np.cos(angle)])
 
-    def _associate(self, T_view_frame: Pose, level: int, exposure: Doubles | None) -> _Fit | None:
+    def _associate(self, T_view_frame: Pose, level: int, exposure: Doubles | None) -> Associations | None:
         """Associate the samples of a level at a pose; None where too few meet the model."""
         samples, view, luma = self.samples[level], self.view, self.view_lumas[level]
         rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
@@ -254,28 +195,16 @@ class Alignment:
         part = len(samples) / max(len(self.samples[0]), 1)
         if np.count_nonzero(states == kernels.FITTING) < max(MIN_ASSOCIATED, self.config.min_samples * part):
             return None
-        return self._measured(rows, states, samples, exposure)
+        return measure_associations(rows, states, samples, exposure, self.config)
 
-    def _measured(self, rows: Doubles, states: NDArray[np.uint8], samples: Samples, exposure: Doubles | None) -> _Fit:
-        """Measure the exposure, if there is none yet, and the scales of both residuals."""
-        some = slice(None, None, max(1, len(rows) // MEDIAN_SAMPLES))
-        level, luma = samples.luma[some] - kernels.LUMA_CENTRE, rows[some, 10]
-        if exposure is None:
-            exposure = np.array([1.0, _median(luma - level, kernels.LUMA_CENTRE)])
-        depth_scale = MAD_TO_SIGMA * _median(np.abs(rows[some, 6]) / samples.sigma[some], 1.0)
-        luma_scale = MAD_TO_SIGMA * _median(np.abs(luma - exposure[0] * level - exposure[1]), 0.0)
-        depth_scale, luma_scale = max(depth_scale, MIN_DEPTH_SCALE), max(luma_scale, self.config.luma_noise)
-        # Depth that fits badly must not hand the pose over to luma, or the misfit would grow.
-        depth_weight = max(1.0, depth_scale / MAX_DEPTH_SCALE) ** 2
-        scales = np.array([depth_scale, luma_scale, depth_weight, self.config.luma_weight])
-        return _Fit(rows, states, scales, exposure)
-
-    def _normal_equations(self, fit: _Fit, samples: Samples, centre: Doubles) -> tuple[Doubles, Doubles]:
+    def _normal_equations(self, fit: Associations, center: Doubles) -> tuple[Doubles, Doubles]:
+        """Return the equations (8, 9) of depth and of luma for a motion about a center, gain and offset."""
+        samples = fit.samples
         sums = np.empty((-(-len(samples) // CHUNK), 2, kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
 
         def work(start: int, stop: int) -> None:
             kernels.accumulate_normal_equations(
-                fit.rows, samples.luma, samples.sigma, centre, fit.exposure, fit.scales, TUKEY_BOUND, CHUNK, sums,
+                fit.rows, samples.luma, samples.sigma, center, fit.exposure, fit.scales, TUKEY_BOUND, CHUNK, sums,
                 start, stop,
             )  # fmt: skip
 
@@ -283,92 +212,93 @@ class Alignment:
         depth, luma = sums.sum(axis=0)
         luma[6, 6] += GAIN_PRIOR
         luma[6, 8] += GAIN_PRIOR * (fit.exposure[0] - 1)
-        luma[7, 7] += 1e-9
+        luma[7, 7] += OFFSET_PRIOR
         return depth, luma
 
-    def _agreement(self, fit: _Fit, samples: Samples, T_view_frame: Pose, centre: Doubles) -> tuple[Doubles, Doubles]:
+    def _agreement(self, fit: Associations, T_view_frame: Pose, center: Doubles) -> tuple[Doubles, Doubles]:
         """Return what shape and picture say of a motion (turn, shift) as far as view and frame agree, (6, 6) each.
 
         Noise tilts the normals of both and has slopes in both pictures, but not alike: in products of the one with the
         other it cancels out, in those of either with itself a plain wall would seem to have a structure, and pictures
         of noise alone fit best half a pixel apart, where interpolation smooths it.
         """
+        samples = fit.samples
         every = max(1, len(samples) // AGREEING_SAMPLES)
         shape, picture = np.zeros((6, 6)), np.zeros((kernels.UNKNOWNS, kernels.UNKNOWNS))
         kernels.accumulate_agreement(
             fit.rows, fit.states, samples.surface, samples.sigma, samples.slopes, samples.luma,
-            np.ascontiguousarray(T_view_frame[:3, :3]), centre, self.parameters[:2], every, shape, picture,
+            np.ascontiguousarray(T_view_frame[:3, :3]), center, self.parameters[:2], every, shape, picture,
         )  # fmt: skip
         picture *= every * fit.scales[3] / fit.scales[1] ** 2
         both = 0.5 * (picture + picture.T)
-        both[range(6, 8), range(6, 8)] += GAIN_PRIOR, 1e-9
+        both[range(6, 8), range(6, 8)] += GAIN_PRIOR, OFFSET_PRIOR
         by_luma = both[:6, :6] - both[:6, 6:] @ np.linalg.solve(both[6:, 6:], both[6:, :6])
         return shape + shape.T, np.asarray(by_luma)
 
-    def _step(self, fit: _Fit, level: int, T_view_frame: Pose) -> _Step:
+    def _step(self, fit: Associations, level: int, T_view_frame: Pose) -> _Step:
         """Solve for one Gauss-Newton step in the directions that the residuals determine."""
-        centre = T_view_frame[:3, :3] @ self.centre + T_view_frame[:3, 3]
-        depth, luma = self._normal_equations(fit, self.samples[level], centre)
+        center = T_view_frame[:3, :3] @ self.center + T_view_frame[:3, 3]
+        depth, luma = self._normal_equations(fit, center)
         # Exposure is eliminated first: what it explains says nothing about motion.
         coupling = np.linalg.solve(luma[6:, 6:8], np.column_stack([luma[6:, :6], luma[6:, 8]]))
         unit = np.repeat([1 / self.radius, 1.0], 3)
         by_depth = unit[:, None] * depth[:6, :6] * unit
         by_luma = unit[:, None] * (luma[:6, :6] - luma[:6, 6:8] @ coupling[:, :6]) * unit
         slope = unit * (depth[:6, 8] + luma[:6, 8] - luma[:6, 6:8] @ coupling[:, 6])
-        pixel = 0.5**level * self.camera.fx / max(centre[2], 1e-6)
-        full_luma = np.count_nonzero(fit.states == kernels.FITTING) * fit.scales[3] / fit.scales[1] ** 2
+        pixel = 0.5**level * self.camera.fx / max(center[2], 1e-6)
+        full_luma = fit.count * fit.scales[3] / fit.scales[1] ** 2
         shape, agreeing = by_depth, by_luma
         if self.config.agreement:
             shape, agreeing = (
                 _without_contradictions(unit[:, None] * each * unit)
-                for each in self._agreement(fit, self.samples[level], T_view_frame, centre)
+                for each in self._agreement(fit, T_view_frame, center)
             )
-        quality = shape / max(float(np.linalg.eigvalsh(shape)[-1]), 1e-12)
-        quality += agreeing / max(full_luma * (STRONG_SLOPE * pixel) ** 2, 1e-12)
+        quality = shape / max(float(np.linalg.eigvalsh(shape)[-1]), TINY)
+        quality += agreeing / max(full_luma * (STRONG_SLOPE * pixel) ** 2, TINY)
         grades, directions = np.linalg.eigh(quality)
         chosen = directions[:, grades > self.config.min_conditioning]
-        way = -chosen @ np.linalg.solve(chosen.T @ (by_depth + by_luma) @ chosen, chosen.T @ slope)
-        step = unit * way
-        step *= min(1.0, MAX_STEP_RAD / max(float(np.linalg.norm(step[:3])), 1e-12))
+        correction = -chosen @ np.linalg.solve(chosen.T @ (by_depth + by_luma) @ chosen, chosen.T @ slope)
+        step = unit * correction
+        step *= min(1.0, MAX_STEP_RAD / max(float(np.linalg.norm(step[:3])), TINY))
         exposure = fit.exposure - coupling[:, 6] - coupling[:, :6] @ step
         turn = rotation_from_vector(step[:3])
-        motion = make_pose(turn, centre - turn @ centre + step[3:])
-        return _Step(motion, float(np.linalg.norm(way)) * pixel * 2**level, exposure, float(grades[0]))
+        motion = make_pose(turn, center - turn @ center + step[3:])
+        return _Step(motion, float(np.linalg.norm(correction)) * pixel * 2**level, exposure, float(grades[0]))
 
     def _judge(self, T_view_frame: Pose, exposure: Doubles | None, conditioning: float, steps: int) -> Registration:
+        """Return a pose that was found and how well all samples of the finest level fit there."""
         # Without this, rounding errors of predicted poses would more than double from frame to frame.
         T_camera_object = orthonormalised(inverse(T_view_frame) @ self.view.T_camera_object)
         fit = self._associate(T_view_frame, 0, exposure)
         if fit is None:
             return _lost(T_camera_object, steps)
-        samples = self.samples[0]
-        inliers = int(np.count_nonzero(_fits(fit, samples)))
+        inliers = int(np.count_nonzero(fit.inliers))
         met = int(np.count_nonzero(fit.states != kernels.UNSEEN))
-        fraction, overlap = inliers / met, met / len(samples)
+        fraction, overlap = inliers / met, met / len(fit.states)
         return Registration(
             T_camera_object=T_camera_object,
-            status=self._status(fraction, overlap, conditioning),
+            status=_status(self.config, fraction, overlap, conditioning),
             inliers=inliers,
             inlier_fraction=fraction,
             overlap=overlap,
-            residual_m=MAD_TO_SIGMA * _median(np.abs(fit.rows[:, 6]), np.inf),
+            residual_m=fit.residual_m,
             conditioning=conditioning,
             iterations=steps,
         )
 
-    def _status(self, inlier_fraction: float, overlap: float, conditioning: float) -> Status:
-        config = self.config
-        if inlier_fraction < config.min_inliers or overlap < config.min_overlap:
-            return Status.LOST
-        least = config.weak_conditioning if config.agreement else config.min_conditioning
-        trusted = inlier_fraction >= config.weak_inliers and overlap >= config.weak_overlap
-        return Status.TRACKED if trusted and conditioning >= least else Status.WEAK
+
+def _status(config: RegistrationConfig, inlier_fraction: float, overlap: float, conditioning: float) -> PoseStatus:
+    if inlier_fraction < config.min_inliers or overlap < config.min_overlap:
+        return PoseStatus.LOST
+    min_conditioning = config.weak_conditioning if config.agreement else config.min_conditioning
+    trusted = inlier_fraction >= config.weak_inliers and overlap >= config.weak_overlap
+    return PoseStatus.TRACKED if trusted and conditioning >= min_conditioning else PoseStatus.WEAK
 
 
 def _lost(T_camera_object: Pose, steps: int) -> Registration:
     return Registration(
         T_camera_object=T_camera_object,
-        status=Status.LOST,
+        status=PoseStatus.LOST,
         inliers=0,
         inlier_fraction=0.0,
         overlap=0.0,
@@ -378,37 +308,7 @@ def _lost(T_camera_object: Pose, steps: int) -> Registration:
     )
 
 
-def _median(values: Doubles, default: float) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else default
-
-
 def _without_contradictions(information: Doubles) -> Doubles:
     """Return the nearest matrix without negative directions: where view and frame contradict, nothing is known."""
     values, directions = np.linalg.eigh(information)
     return np.asarray(directions * np.maximum(values, 0) @ directions.T)
-
-
-def _luma_residuals(fit: _Fit, samples: Samples) -> Doubles:
-    expected: Doubles = fit.exposure[0] * (samples.luma - kernels.LUMA_CENTRE) + fit.exposure[1]
-    return fit.rows[:, 10] - expected
-
-
-def _fits(fit: _Fit, samples: Samples) -> Mask:
-    """Tell which samples lie on the view's surface and do not contradict its luma."""
-    bound = np.maximum(np.maximum(INLIER_SIGMAS * samples.sigma, INLIER_DEPTH * samples.surface[:, 2]), INLIER_M)
-    dark_or_bright = np.abs(_luma_residuals(fit, samples)) > INLIER_LUMA
-    return (np.abs(fit.rows[:, 6]) <= bound) & ~dark_or_bright
-
-
-def _tukey_cost(residuals: Doubles) -> Doubles:
-    inside = np.clip(1 - (residuals / TUKEY_BOUND) ** 2, 0, 1)
-    cost: Doubles = (1 - inside**3) * (TUKEY_BOUND**2 / 6)
-    return cost
-
-
-def _costs(fit: _Fit, samples: Samples, scales: Doubles) -> Doubles:
-    """Return the robust cost of every sample, NaN where it does not meet the surface."""
-    luma = np.nan_to_num(_tukey_cost(_luma_residuals(fit, samples) / scales[1]), nan=0.0)
-    cost: Doubles = scales[2] * _tukey_cost(fit.rows[:, 6] / (scales[0] * samples.sigma)) + scales[3] * luma
-    return cost

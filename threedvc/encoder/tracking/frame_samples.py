@@ -8,26 +8,28 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from threedvc.arrays import Doubles, Floats, Mask
+from threedvc.arrays import Doubles, Floats
+from threedvc.encoder.tracking.registration_types import DepthSample, RegistrationConfig, Sigma, camera_rays
 from threedvc.geometry.camera import Camera
 from threedvc.kernels.encoder import registration as kernels
 
-__all__ = ["MAX_JUMP", "SMALLEST_SIDE", "Samples", "detail", "halved", "level_samples", "masked_luma", "normal_reach"]
+__all__ = ["MAX_JUMP", "Samples", "level_samples", "luma_levels", "normal_reach", "sample_surface"]
 
 MIN_LEVEL_SAMPLES = 1500
-SMALLEST_SIDE = 24
+"""Coarse levels are thinned out no further: some hundred samples for each unknown outvote noise and outliers."""
+MIN_LEVEL_SIDE = 24
+"""Pixels of the shorter side of the coarsest picture: of a smaller one nothing is left but a few shades."""
 NORMAL_REACH_PARTS = 160
+"""Normals are taken across the picture's width over this, so that noise tilts them alike at every resolution: 4 pixels
+of 640."""
 MAX_JUMP = 0.04
+"""Neighbors whose depth differs by more than this part lie on two surfaces: no normal is taken across them. Beyond the
+noise of sensors (1 % or less)."""
 
 
 def normal_reach(camera: Camera) -> int:
     """Return the pixels to each side across which normals are taken, as fits the picture's size."""
     return max(1, round(camera.width / NORMAL_REACH_PARTS))
-
-
-def masked_luma(intensity: Floats, mask: Mask | None) -> Floats:
-    """Return the luma with NaN outside an object's pixels."""
-    return intensity if mask is None else np.where(mask, intensity, np.float32(np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +45,42 @@ class Samples:
         return len(self.surface)
 
 
-def halved(luma: Floats) -> Floats:
+def sample_surface(sample: DepthSample, sigma_m: Sigma, count: int) -> tuple[Doubles, Doubles]:
+    """Return about `count` samples (n, 8) with surface, rows of `kernels.sample_frame`, and their depth noise (n,)."""
+    mask, depth = sample.mask, sample.depth
+    inside = np.ones(depth.shape, dtype=np.bool_) if mask is None else np.ascontiguousarray(mask)
+    depth = np.ascontiguousarray(depth)
+    stride = max(1, round(np.sqrt(np.count_nonzero(inside & (depth > 0)) / count)))
+    height, width = depth.shape
+    grid = np.zeros((max(1, height // stride), max(1, width // stride), 8))
+    rays, reach = camera_rays(sample.camera), normal_reach(sample.camera)
+    kernels.sample_frame(depth, inside, rays, stride, reach, MAX_JUMP, grid, 0, len(grid))
+    surface = grid[grid[:, :, 2] > 0]
+    if callable(sigma_m):
+        return surface, np.ascontiguousarray(sigma_m(surface[:, 2]), dtype=np.float64)
+    columns, rows = surface[:, 6].astype(np.intp), surface[:, 7].astype(np.intp)
+    return surface, sigma_m[rows, columns].astype(np.float64)
+
+
+def luma_levels(luma: Floats, config: RegistrationConfig) -> list[Floats]:
+    """Return the luma of every level, the finest against its local mean."""
+    count = min(config.levels, 1 + int(np.log2(max(1.0, min(luma.shape) / MIN_LEVEL_SIDE))))
+    pictures = [np.ascontiguousarray(luma, dtype=np.float32)]
+    for _ in range(count - 1):
+        pictures.append(_halved(pictures[-1]))
+    if config.detail_pixels:
+        pictures[0] = _detail(pictures[0], config.detail_pixels)
+    return pictures
+
+
+def _halved(luma: Floats) -> Floats:
     """Return luma (h, w) at half its resolution, (h // 2, w // 2)."""
     half = np.empty((luma.shape[0] // 2, luma.shape[1] // 2), dtype=np.float32)
     kernels.halve_luma(luma, half, 0, len(half))
     return half
 
 
-def detail(luma: Floats, side: int) -> Floats:
+def _detail(luma: Floats, side: int) -> Floats:
     """Return luma against the mean of the known pixels around, about the same level as before."""
     known = np.isfinite(luma)
     mean = _window_mean(np.where(known, luma, np.float32(0)), side)

@@ -2,7 +2,7 @@
 """Poses from which registration may start: the prediction, and what to try when it fails.
 
 `register` refines a pose within about a tenth of the depth or some twenty degrees. Larger motions, as of
-an object on a turntable or after dropped frames, need a better start. `register_from_starts` tries the
+an object on a turntable or after dropped frames, need a better start. `register_multi_start` tries the
 prediction and, only if that does not fit, the pose of the view, the pose of matched picture features, and
 the view's pose moved to the middle of what is seen, as it is and turned about that middle. The best of them
 at coarse levels are refined.
@@ -12,33 +12,39 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.encoder.tracking.alignment import Alignment
+from threedvc.encoder.tracking.feature_matching import Descriptors, detect_features, match_features
 from threedvc.encoder.tracking.registration_types import (
+    DepthSample,
     ModelView,
     Registration,
-    RegistrationConfig,
-    Sigma,
-    Status,
+    RegistrationProblem,
     camera_rays,
 )
 from threedvc.geometry.camera import Camera
-from threedvc.geometry.pose import Pose, inverse, make_pose, orthonormalised, rotation_from_vector
+from threedvc.geometry.pose import Pose, inverse, make_pose, nearest_rotation, orthonormalised, rotation_from_vector
+from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["feature_start", "other_starts", "predict", "register_from_starts"]
+__all__ = ["initial_poses", "pose_from_features", "predict", "register_multi_start"]
 
 TURNS_RAD = (0.2, 0.4)
+"""Turns about each axis that are tried: registration finds what lies within some twenty degrees (0.35) of them."""
 REFINED_STARTS = 3
-MAX_FEATURES = 800
-MAX_RATIO = 0.8
-MIN_MATCHES = 6
-DRAWS = 200
-MATCH_DISTANCE = 0.02
+"""Of the poses tried at coarse levels so many are refined: these do not tell the best from the next best."""
 MIN_INLIERS = 0.7
+"""Part of the samples that must fit where another start is to be trusted: more than for the prediction, which has
+the frames before to speak for it."""
+MAX_FEATURES = 800
+"""Enough for a whole picture of common size; more take longer and are mostly the same corners."""
+MIN_MATCHES = 6
+"""Twice the three pairs of points that determine a motion."""
+DRAWS = 200
+"""Of three pairs each: with 0.3 of the pairs right, all three are in one of them with a chance of 0.995."""
+MATCH_DISTANCE = 0.02
+"""Parts of the depth by which a pair may miss a motion that it follows."""
 
 
 def predict(T_before: Pose, T_previous: Pose) -> Pose:
@@ -46,47 +52,39 @@ def predict(T_before: Pose, T_previous: Pose) -> Pose:
     return orthonormalised(T_previous @ inverse(T_before) @ T_previous)
 
 
-def register_from_starts(
-    depth: Floats,
-    intensity: Floats,
-    mask: Mask | None,
-    camera: Camera,
-    view: ModelView,
-    T_guess: Pose,
-    *,
-    sigma_m: Sigma,
-    config: RegistrationConfig | None = None,
-    threads: int = 1,
-) -> Registration:
-    """Register a frame from a guess and, if that does not fit, from other starts.
+def register_multi_start(problem: RegistrationProblem, T_guess: Pose) -> Registration:
+    """Register a frame from a guess and, if that does not fit, from other poses.
 
     Parameters are those of `threedvc.encoder.tracking.registration.register`. A result from another start replaces the
     first only if it is tracked and agrees better.
     """
-    alignment = Alignment(depth, intensity, mask, camera, view, sigma_m, config or RegistrationConfig(), threads)
+    alignment = Alignment(problem)
     first = alignment.solve_near(T_guess)
-    if first.status is not Status.LOST and first.inlier_fraction >= alignment.config.weak_inliers:
+    if first.status is not PoseStatus.LOST and first.inlier_fraction >= alignment.config.weak_inliers:
         return first
-    starts = other_starts(depth, intensity, mask, camera, view)
+    starts = initial_poses(problem.sample, problem.view)
     coarse = sorted((alignment.solve(start, finest=1) for start in starts), key=_agreement, reverse=True)
     refined = (alignment.solve(found.T_camera_object) for found in coarse[:REFINED_STARTS] if found.inliers)
-    trusted = [found for found in refined if found.status is Status.TRACKED and found.inlier_fraction >= MIN_INLIERS]
+    trusted = [
+        found for found in refined if found.status is PoseStatus.TRACKED and found.inlier_fraction >= MIN_INLIERS
+    ]
     return max([first, *trusted], key=_agreement)
 
 
 def _agreement(found: Registration) -> float:
-    return found.agreement if found.status is not Status.LOST else 0.0
+    return found.agreement if found.status is not PoseStatus.LOST else 0.0
 
 
-def other_starts(
-    depth: Floats, intensity: Floats, mask: Mask | None, camera: Camera, view: ModelView
-) -> Iterator[Pose]:
-    """Yield poses ``T_camera_object`` to try: the view's, middles brought together, features, turns."""
+def initial_poses(sample: DepthSample, view: ModelView) -> Iterator[Pose]:
+    """Yield poses ``T_camera_object`` to try: the view's, features, middles brought together, turns."""
     yield view.T_camera_object
-    points, there = _points(depth, mask, camera), _points(view.depth, None, camera)
+    points, there = (
+        _points(sample.depth, sample.measured, sample.camera),
+        _points(view.depth, view.depth > 0, view.camera),
+    )
     if not len(points) or not len(there):
         return
-    matched = feature_start(depth, intensity, mask, camera, view)
+    matched = pose_from_features(sample, view)
     if matched is not None:
         yield matched
     middle, other = np.median(points, axis=0), np.median(there, axis=0)
@@ -102,36 +100,33 @@ def _turns() -> Iterator[Doubles]:
             yield rotation_from_vector(-angle * axis)
 
 
-def _points(depth: Floats, mask: Mask | None, camera: Camera) -> Doubles:
-    known = depth > 0 if mask is None else mask & (depth > 0)
+def _points(depth: Floats, known: Mask, camera: Camera) -> Doubles:
     z = depth[known].astype(np.float64)
     return np.column_stack([camera_rays(camera)[known] * z[:, None], z])
 
 
-def feature_start(depth: Floats, intensity: Floats, mask: Mask | None, camera: Camera, view: ModelView) -> Pose | None:
+def pose_from_features(sample: DepthSample, view: ModelView) -> Pose | None:
     """Find a pose from picture features that the frame and the view share; None where there are too few.
 
     Matched features with depth on both sides are pairs of points in space. Rigid motions through three
     pairs drawn at random (always the same way) are tried, the one that most pairs follow is fitted to them.
     """
-    frame = _features(intensity, depth > 0 if mask is None else mask & (depth > 0))
-    model = _features(view.intensity, view.depth > 0)
+    frame, model = _features(sample.luma, sample.measured), _features(view.intensity, view.depth > 0)
     if frame is None or model is None:
         return None
-    pairs = [pair for pair in cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(frame[1], model[1], k=2) if len(pair) == 2]
-    clear = [best for best, second in pairs if best.distance < MAX_RATIO * second.distance]
-    if len(clear) < MIN_MATCHES:
+    query, train = match_features(frame[1], model[1])
+    if len(query) < MIN_MATCHES:
         return None
-    here = _lifted(frame[0][[match.queryIdx for match in clear]], depth, camera)
-    there = _lifted(model[0][[match.trainIdx for match in clear]], view.depth, camera)
+    here = _lifted(frame[0][query], sample.depth, sample.camera)
+    there = _lifted(model[0][train], view.depth, sample.camera)
     motion = _common_motion(there, here)
     return None if motion is None else motion @ view.T_camera_object
 
 
-def _features(luma: Floats, known: Mask) -> tuple[Doubles, NDArray[np.uint8]] | None:
+def _features(luma: Floats, known: Mask) -> tuple[Doubles, Descriptors] | None:
+    """Return features at known pixels; None where there are too few."""
     picture = np.clip(np.nan_to_num(luma, nan=0.0), 0, 255).astype(np.uint8)
-    points, descriptors = cv2.ORB.create(MAX_FEATURES, fastThreshold=7).detectAndCompute(picture, None)
-    pixels = np.array([point.pt for point in points]).reshape(-1, 2)
+    pixels, descriptors = detect_features(picture, MAX_FEATURES)
     if not len(pixels):
         return None
     columns, rows = np.rint(pixels).astype(np.intp).T
@@ -148,8 +143,7 @@ def _lifted(pixels: Doubles, depth: Floats, camera: Camera) -> Doubles:
 def _rigid_fit(source: Doubles, target: Doubles) -> Pose:
     """Return the rigid motion that brings points nearest to their partners (least squares)."""
     a, b = source.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((target - b).T @ (source - a))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    turn = nearest_rotation((target - b).T @ (source - a))
     return make_pose(turn, b - turn @ a)
 
 

@@ -4,146 +4,149 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import NamedTuple, TypeAlias, TypedDict
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.initial_poses import register_from_starts
-from threedvc.encoder.tracking.model_view import FrameViews, cast_view
-from threedvc.encoder.tracking.pose_fusion import PoseWitness, joint_pose
-from threedvc.encoder.tracking.pose_track import Located
-from threedvc.encoder.tracking.registration import ModelView, Registration, RegistrationConfig, Status, register, rests
+from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.tracking.initial_poses import register_multi_start
+from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.tracking.pose_fusion import PoseEstimate, fused_pose
+from threedvc.encoder.tracking.pose_track import TrackedPose
+from threedvc.encoder.tracking.registration import (
+    ModelView,
+    Registration,
+    RegistrationConfig,
+    RegistrationProblem,
+    is_stationary,
+    register,
+)
 from threedvc.frames.sensor_model import SensorModel
-from threedvc.geometry.camera import Camera, CameraRig
+from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
+from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["JointResult", "RegistrationOptions", "Sight", "as_samples", "join_results", "refined", "refound"]
+__all__ = ["RegistrationSettings", "SensorRegistration", "joint_registration", "relocalise_near", "reregister"]
 
-SAME_TURN_RAD, SAME_SHIFT = 0.1, 0.1
-"""Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance."""
-_Seen: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], Camera]
-"""Depth, luma and mask (h, w) of a thinned frame, and its camera."""
+MAX_TURN_RAD, MAX_SHIFT = 0.1, 0.1
+"""Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance: more
+than extrinsics are ever off by, less than from one symmetry of an object to the next."""
 
 
-class RegistrationOptions(TypedDict):
-    """What every call of the registration is given."""
+@dataclass(frozen=True, kw_only=True)
+class RegistrationSettings:
+    """What all registrations of one object have in common.
 
-    sigma_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    Attributes
+    ----------
+    sensor_of
+        Noise of the depth by the number of the sensor.
+    threads
+        Number of threads; poses do not depend on it.
+    config
+        Choices.
+    """
+
+    sensor_of: Callable[[int], SensorModel]
     threads: int
     config: RegistrationConfig
 
+    def problem(self, seen: ObjectView, view: ModelView) -> RegistrationProblem:
+        """Return the registration of what a sensor sees with a view of the model."""
+        sigma_m = self.sensor_of(seen.frame.sensor).sigma_m
+        return RegistrationProblem(
+            sample=seen.sample, view=view, sigma_m=sigma_m, config=self.config, threads=self.threads
+        )
 
-class Sight(NamedTuple):
-    """What one sensor sees of an object: the forms of its frame, and the object's pixels (h, w) in the depth camera."""
 
-    views: FrameViews
-    mask: NDArray[np.bool_]
+@dataclass(frozen=True, eq=False)
+class SensorRegistration:
+    """The registration of one sensor's frame: what was found before the sensor, and what it was found with."""
 
-
-class JointResult(NamedTuple):
-    """The registration of one frame: what was found before its sensor, and what it was found with."""
-
+    problem: RegistrationProblem
     found: Registration
-    seen: _Seen
-    view: ModelView
-    options: RegistrationOptions
     rig: CameraRig
 
     @property
-    def at_base(self) -> Registration:
-        """What was found, with the pose before the base."""
+    def in_rig(self) -> Registration:
+        """What was found, with the pose before the rig."""
         return replace(self.found, T_camera_object=self.rig.at_base(self.found.T_camera_object))
 
-    def witness(self) -> PoseWitness | None:
+    def estimate(self) -> PoseEstimate | None:
         """Return how surely the frame tells the pose; None where it hardly does."""
-        options = self.options
-        alignment = Alignment(*self.seen, self.view, options["sigma_m"], options["config"], options["threads"])
-        information = alignment.information(self.found.T_camera_object)
+        information = Alignment(self.problem).information(self.found.T_camera_object)
         if information is None:
             return None
-        return PoseWitness(self.at_base.T_camera_object, self.view.T_camera_object, information)
+        return PoseEstimate(self.in_rig.T_camera_object, self.problem.view.T_camera_object, information)
 
 
-def join_results(witnesses: Sequence[JointResult]) -> Registration:
-    """Return what the registrations of the frames of a moment, at least one, say together, before the base.
+def joint_registration(results: Sequence[SensorRegistration]) -> Registration:
+    """Return what the registrations of the frames of a moment, at least one, say together, before the rig.
 
     Only those of the best status that agree with the one of most inliers count.
     """
-    if len(witnesses) == 1:
-        return witnesses[0].at_base
-    best = next((s for s in (Status.TRACKED, Status.WEAK) if any(each.found.status is s for each in witnesses)), None)
-    chosen = [each for each in witnesses if each.found.status is best]
+    if len(results) == 1:
+        return results[0].in_rig
+    statuses = [each.found.status for each in results]
+    best = next((status for status in (PoseStatus.TRACKED, PoseStatus.WEAK) if status in statuses), None)
+    chosen = [each for each in results if each.found.status is best]
     if not chosen:
-        return witnesses[0].at_base
+        return results[0].in_rig
     chosen.sort(key=lambda each: -each.found.inliers)
-    leading = chosen[0].at_base
-    said = [witness for each in chosen if (witness := each.witness()) is not None]
-    distance_m = float(np.median(chosen[0].view.depth[chosen[0].view.depth > 0]))
-    agreeing = [each for each in said if _agree(each.T_base_object, leading.T_camera_object, distance_m)]
+    leading, depth = chosen[0].in_rig, chosen[0].problem.view.depth
+    estimates = [estimate for each in chosen if (estimate := each.estimate()) is not None]
+    distance_m = float(np.median(depth[depth > 0]))
+    agreeing = [each for each in estimates if _agree(each.T_rig_object, leading.T_camera_object, distance_m)]
     if len(agreeing) < 2:
         return leading
-    return replace(leading, T_camera_object=joint_pose(agreeing))
+    return replace(leading, T_camera_object=fused_pose(agreeing))
 
 
 def _agree(one: Pose, other: Pose, distance_m: float) -> bool:
     """Tell whether two poses of an object are so near that they can be the same with some noise."""
     change = one @ inverse(other)
-    return rotation_angle(change) < SAME_TURN_RAD and float(np.linalg.norm(change[:3, 3])) < SAME_SHIFT * distance_m
+    return rotation_angle(change) < MAX_TURN_RAD and float(np.linalg.norm(change[:3, 3])) < MAX_SHIFT * distance_m
 
 
-def as_samples(views: FrameViews, mask: NDArray[np.bool_]) -> _Seen:
-    """Return what registration takes of a frame."""
-    form = views.form(mask)
-    return form.thin(views.frame.depth), views.luma(form), form.thin(mask), form.camera
-
-
-def refined(
-    at: Located,
-    sights: Sequence[Sight],
-    model: EvidenceModel,
-    sensors: Sequence[SensorModel],
-    threads: int,
-    config: RegistrationConfig | None = None,
-) -> Located:
+def reregister(
+    at: TrackedPose, seen: Sequence[ObjectView], model: EvidenceModel, settings: RegistrationSettings
+) -> TrackedPose:
     """Register the frames of a moment once more, against the finished model, from the pose that they were fused at.
 
-    The pose stays as it is unless the other fits significantly better. `sensors` are the noise of every sight's depth.
+    The pose stays as it is unless the other fits significantly better.
     """
-    witnesses, moved = [], False
-    for (views, mask), sensor in zip(sights, sensors, strict=True):
-        T_camera_object, seen = views.rig.at_sensor(at.T_camera_object), as_samples(views, mask)
-        view = cast_view(model, views.form(mask), T_camera_object, threads, exact=True)
-        options = RegistrationOptions(sigma_m=sensor.sigma_m, threads=threads, config=config or RegistrationConfig())
-        found = register(*seen, view, T_camera_object, **options)
-        if found.status is Status.TRACKED:
-            moved |= not rests(*seen, view, T_camera_object, found, resting=True, **options)
-        witnesses.append(JointResult(found, seen, view, options, views.rig))
+    results, moved = [], False
+    for each in seen:
+        T_camera_object, problem = _against_model(each, model, at.T_camera_object, settings)
+        found = register(problem, T_camera_object)
+        if found.status is PoseStatus.TRACKED:
+            moved |= not is_stationary(problem, T_camera_object, found, resting=True)
+        results.append(SensorRegistration(problem, found, each.rig))
     if not moved:
         return at
-    return replace(at, T_camera_object=join_results(witnesses).T_camera_object)
+    return replace(at, T_camera_object=joint_registration(results).T_camera_object)
 
 
-def refound(
-    at: Located,
-    T_guess: Pose,
-    sights: Sequence[Sight],
-    model: EvidenceModel,
-    sensors: Sequence[SensorModel],
-    threads: int,
-) -> Located:
+def relocalise_near(
+    at: TrackedPose, T_guess: Pose, seen: Sequence[ObjectView], model: EvidenceModel, settings: RegistrationSettings
+) -> TrackedPose:
     """Look for a lost object near a guess in the finished model; it stays lost, at the guess, if it is not there."""
-    witnesses = []
-    for (views, mask), sensor in zip(sights, sensors, strict=True):
-        T_camera_object, seen = views.rig.at_sensor(T_guess), as_samples(views, mask)
-        view = cast_view(model, views.form(mask), T_camera_object, threads, exact=True)
-        options = RegistrationOptions(sigma_m=sensor.sigma_m, threads=threads, config=RegistrationConfig())
-        found = register_from_starts(*seen, view, T_camera_object, **options)
-        witnesses.append(JointResult(found, seen, view, options, views.rig))
-    together = join_results(witnesses)
-    if together.status is not Status.TRACKED:
+    results = []
+    for each in seen:
+        T_camera_object, problem = _against_model(each, model, T_guess, settings)
+        results.append(SensorRegistration(problem, register_multi_start(problem, T_camera_object), each.rig))
+    found = joint_registration(results)
+    if found.status is not PoseStatus.TRACKED:
         return replace(at, T_camera_object=T_guess)
-    return replace(at, T_camera_object=together.T_camera_object, status=Status.RELOCALISED)
+    return replace(at, T_camera_object=found.T_camera_object, status=PoseStatus.RELOCALISED)
+
+
+def _against_model(
+    seen: ObjectView, model: EvidenceModel, T_rig_object: Pose, settings: RegistrationSettings
+) -> tuple[Pose, RegistrationProblem]:
+    """Return a pose before a sensor, and its frame's registration with the model as seen from there."""
+    T_camera_object = seen.rig.at_sensor(T_rig_object)
+    view = raycast_model(model, seen.resolution, T_camera_object, settings.threads, exact=True)
+    return T_camera_object, settings.problem(seen, view)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from threedvc.encoder.tracking.given_poses import PairRegistration
+from threedvc.encoder.tracking.pair_registration import PairRegistration
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameFacts, FrameSequence, facts_of
 from threedvc.geometry.pose import Pose, compose, identity, interpolated, inverse
@@ -15,6 +15,7 @@ from threedvc.units import NANOSECONDS
 __all__ = ["CompletedPoses", "SequenceWithPoses", "complete_poses"]
 
 MAX_INTERPOLATED = 3
+"""Frames of a gap that is interpolated: at 15 frames a second, as many as a fifth of one has."""
 MAX_INTERPOLATED_NS = NANOSECONDS // 5
 """A camera in a hand hardly turns within a fifth of a second: its pose lies on the way between two that are known."""
 
@@ -113,9 +114,11 @@ def complete_poses(frames: FrameSequence, poses: Sequence[Pose | None], threads:
         start, stop = 0 if first is None else first + 1, len(poses) if last is None else last
         if start == stop:
             continue
-        short = stop - start <= MAX_INTERPOLATED
-        if first is not None and last is not None and short and times[last] - times[first] <= MAX_INTERPOLATED_NS:
-            _interpolate(found, times, first, last)
+        before, after = None if first is None else poses[first], None if last is None else poses[last]
+        span = times[max(start - 1, 0) : stop + 1]
+        short = stop - start <= MAX_INTERPOLATED and span[-1] - span[0] <= MAX_INTERPOLATED_NS
+        if before is not None and after is not None and short:
+            found[start:stop] = _between(before, after, span)
             between += stop - start
         else:
             _cross(frames, found, first, last, registrar)
@@ -123,15 +126,11 @@ def complete_poses(frames: FrameSequence, poses: Sequence[Pose | None], threads:
     return CompletedPoses(found, between, crossed)
 
 
-def _interpolate(poses: list[Pose | None], times: Sequence[int], first: int, last: int) -> None:
-    """Fill the poses between two known ones, by time."""
-    before, after = poses[first], poses[last]
-    assert before is not None
-    assert after is not None
-    duration = times[last] - times[first]
-    for index in range(first + 1, last):
-        share = (times[index] - times[first]) / duration if duration else (index - first) / (last - first)
-        poses[index] = interpolated(before, after, share)
+def _between(before: Pose, after: Pose, times: Sequence[int]) -> list[Pose]:
+    """Return the poses between two known ones, by the times of all of them."""
+    duration, count = times[-1] - times[0], len(times) - 1
+    shares = [(times[k] - times[0]) / duration if duration else k / count for k in range(1, count)]
+    return [interpolated(before, after, share) for share in shares]
 
 
 def _cross(
@@ -142,20 +141,19 @@ def _cross(
         reached = _chain(frames, poses, range(first, len(poses) if last is None else last + 1), registrar)
         end = None if last is None else poses[last]
         if last is not None and end is not None and reached is not None:
-            off = compose(inverse(reached), end)
+            residual = compose(inverse(reached), end)
             for index in range(first + 1, last):
-                here = poses[index]
-                assert here is not None
-                poses[index] = compose(here, interpolated(identity(), off, (index - first) / (last - first)))
+                here, share = poses[index], (index - first) / (last - first)
+                poses[index] = None if here is None else compose(here, interpolated(identity(), residual, share))
     if last is not None and (first is None or any(pose is None for pose in poses[first:last])):
         _chain(frames, poses, range(last, -1 if first is None else first, -1), registrar)
 
 
-def _chain(frames: FrameSequence, poses: list[Pose | None], way: range, registrar: PairRegistration) -> Pose | None:
-    """Fill poses one after the other from the first of a way; return what the last one comes to, None if it is lost."""
-    pose = poses[way[0]]
-    before = frames[way[0]]
-    for index in way[1:]:
+def _chain(frames: FrameSequence, poses: list[Pose | None], path: range, registrar: PairRegistration) -> Pose | None:
+    """Fill poses one after the other from the first of a path; return what the last comes to, None if it is lost."""
+    pose = poses[path[0]]
+    before = frames[path[0]]
+    for index in path[1:]:
         frame = frames[index]
         motion = registrar.motion(before, frame)
         if motion is None or pose is None:

@@ -11,31 +11,22 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from threedvc.geometry.pose import (
-    Pose,
-    adjoint,
-    compose,
-    inverse,
-    make_pose,
-    orthonormalised,
-    rotation_from_vector,
-    twist_of,
-)
+from threedvc.arrays import Doubles
+from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, log_motion, orthonormalised
 
-__all__ = ["PoseWitness", "joint_pose"]
+__all__ = ["PoseEstimate", "fused_pose"]
 
-LEAST_INFORMATION = 1e-6
-"""Part of the greatest information below which a direction stays as the first sensor has it."""
+MIN_INFORMATION = 1e-6
+"""Part of the largest information below which a direction stays as the first sensor has it: rounding leaves as much."""
 
 
-class PoseWitness(NamedTuple):
+class PoseEstimate(NamedTuple):
     """What one sensor says about the pose of an object.
 
     Attributes
     ----------
-    T_base_object
+    T_rig_object
         Where it is.
     T_view_object
         Pose of the object in the view that it was registered with.
@@ -44,24 +35,24 @@ class PoseWitness(NamedTuple):
         `threedvc.encoder.tracking.alignment.Alignment.information`.
     """
 
-    T_base_object: Pose
+    T_rig_object: Pose
     T_view_object: Pose
-    information: NDArray[np.float64]
+    information: Doubles
 
 
-def joint_pose(witnesses: Sequence[PoseWitness]) -> Pose:
-    """Return the pose T_base_object that fits all witnesses best; directions that none determines follow the first.
+def fused_pose(estimates: Sequence[PoseEstimate]) -> Pose:
+    """Return the pose T_rig_object that fits all estimates best; directions that none determines follow the first.
 
     Poses must lie near each other. At least one is needed.
     """
-    first = witnesses[0].T_base_object
+    first = estimates[0].T_rig_object
     matrix, side = np.zeros((6, 6)), np.zeros(6)
-    for witness in witnesses:
+    for estimate in estimates:
         # A motion of the frame in the view is the same motion of the object in its own frame, backwards.
-        slope = adjoint(witness.T_view_object)
-        information = slope.T @ witness.information @ slope
+        slope = adjoint(estimate.T_view_object)
+        information = slope.T @ estimate.information @ slope
         matrix += information
-        side += information @ twist_of(inverse(first) @ witness.T_base_object)
-    floor = LEAST_INFORMATION * float(np.linalg.eigvalsh(matrix)[-1]) + 1e-12
+        side += information @ log_motion(inverse(first) @ estimate.T_rig_object)
+    floor = MIN_INFORMATION * float(np.linalg.eigvalsh(matrix)[-1]) + 1e-12
     twist = np.linalg.solve(matrix + floor * np.eye(6), side).astype(np.float64)
-    return orthonormalised(compose(first, make_pose(rotation_from_vector(twist[:3]), twist[3:])))
+    return orthonormalised(compose(first, exp_motion(twist)))

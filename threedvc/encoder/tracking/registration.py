@@ -10,110 +10,67 @@ a fixed light changes its shading, not its texture. Where the model is unknown t
 the model may be incomplete.
 
 Directions that the residuals do not determine, such as along a plain wall, keep the prediction. The
-result says how far it can be trusted. `rests` tells whether an object moved at all.
+result says how far it can be trusted. `is_stationary` tells whether an object moved at all.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from threedvc.arrays import Floats, Mask
 from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.frame_samples import MAX_JUMP, masked_luma, normal_reach
+from threedvc.encoder.tracking.frame_samples import MAX_JUMP, normal_reach
 from threedvc.encoder.tracking.registration_types import (
+    DepthSample,
     ModelView,
     Registration,
     RegistrationConfig,
+    RegistrationProblem,
     Sigma,
-    Status,
     camera_rays,
 )
-from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
 from threedvc.kernels.encoder.registration import estimate_normals
 from threedvc.parallel import for_ranges
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = [
+    "DepthSample",
     "ModelView",
     "Registration",
     "RegistrationConfig",
+    "RegistrationProblem",
     "Sigma",
-    "Status",
-    "frame_view",
+    "is_stationary",
     "register",
-    "rests",
+    "view_of_frame",
 ]
 
 
-def register(
-    depth: Floats,
-    intensity: Floats,
-    mask: Mask | None,
-    camera: Camera,
-    view: ModelView,
-    T_guess: Pose,
-    *,
-    sigma_m: Sigma,
-    config: RegistrationConfig | None = None,
-    threads: int = 1,
-) -> Registration:
+def register(problem: RegistrationProblem, T_guess: Pose) -> Registration:
     """Find the pose at which a frame fits the model's view, starting from a guess.
 
     Parameters
     ----------
-    depth
-        (h, w) float32 metres along z; 0 = no measurement.
-    intensity
-        (h, w) float32 luma 0..255 at the pixels of `depth`; NaN where unknown.
-    mask
-        (h, w) bool, the pixels of the object; None: all.
-    camera
-        The depth camera, which is also the view's.
-    view
-        The model from a pose near the frame's.
+    problem
+        The frame, the view, and how they are to be registered.
     T_guess
         Predicted ``T_camera_object`` of the frame.
-    sigma_m
-        Noise of the depth in metres: (h, w) float32, or a function of depths (n,) float64.
-    config
-        Choices; None: defaults.
-    threads
-        Number of threads; the result does not depend on it.
-
-    Raises
-    ------
-    ConfigError
-        If the sizes of the pictures, the camera and the view differ.
     """
-    alignment = Alignment(depth, intensity, mask, camera, view, sigma_m, config or RegistrationConfig(), threads)
-    return alignment.solve_near(T_guess)
+    return Alignment(problem).solve_near(T_guess)
 
 
-def rests(
-    depth: Floats,
-    intensity: Floats,
-    mask: Mask | None,
-    camera: Camera,
-    view: ModelView,
-    T_previous: Pose,
-    found: Registration,
-    *,
-    sigma_m: Sigma,
-    resting: bool,
-    config: RegistrationConfig | None = None,
-    threads: int = 1,
-) -> bool:
+def is_stationary(problem: RegistrationProblem, T_previous: Pose, found: Registration, *, resting: bool) -> bool:
     """Tell whether an object still has its previous pose, so that no pose needs to be sent.
 
     Below a small displacement it does, above a large one it does not. Between them the previous pose
     is kept unless it fits significantly worse than the found one: the difference of the robust costs
-    is taken over blocks of neighbouring samples, whose scatter gives its standard error. An object at
+    is taken over blocks of neighboring samples, whose scatter gives its standard error. An object at
     rest needs stronger evidence than a moving one. As poses are found against the model, slow motion
     adds up until it counts: the error stays below ``move_pixels``.
 
     Parameters
     ----------
-    depth, intensity, mask, camera, view, sigma_m, config, threads
+    problem
         As in `register`.
     T_previous
         The pose of the frame before.
@@ -122,10 +79,9 @@ def rests(
     resting
         Whether the object rested in the frame before.
     """
-    config = config or RegistrationConfig()
-    if found.status is Status.LOST:
+    if found.status is PoseStatus.LOST:
         return False
-    alignment = Alignment(depth, intensity, mask, camera, view, sigma_m, config, threads)
+    config, alignment = problem.config, Alignment(problem)
     displacement = alignment.displacement_pixels(T_previous, found.T_camera_object)
     if displacement <= config.rest_pixels or displacement > config.move_pixels:
         return displacement <= config.rest_pixels
@@ -133,28 +89,24 @@ def rests(
     return alignment.excess_cost(T_previous, found.T_camera_object) < limit
 
 
-def frame_view(
-    depth: Floats,
-    intensity: Floats,
-    mask: Mask | None,
-    camera: Camera,
-    T_camera_object: Pose,
-    *,
-    reach: int | None = None,
-    threads: int = 1,
+def view_of_frame(
+    sample: DepthSample, T_camera_object: Pose, *, reach: int | None = None, threads: int = 1
 ) -> ModelView:
     """Make a view from one frame alone: what is known of an object before it has a model.
 
     Parameters
     ----------
-    depth, intensity, mask, camera
-        As in `register`.
+    sample
+        What the frame shows of the object.
     T_camera_object
         The object's pose in the frame.
     reach
         Normals are taken across this many pixels to each side; None: as fits the picture's size.
+    threads
+        Number of threads.
     """
-    seen = depth if mask is None else np.where(mask, depth, np.float32(0))
+    camera, mask = sample.camera, sample.mask
+    seen = sample.depth if mask is None else np.where(mask, sample.depth, np.float32(0))
     normals = np.empty((*seen.shape, 3), dtype=np.float32)
     rays, steps = camera_rays(camera), reach or normal_reach(camera)
 
@@ -168,5 +120,5 @@ def frame_view(
         T_camera_object=T_camera_object,
         depth=known,
         normals=normals,
-        intensity=masked_luma(intensity, mask),
+        intensity=sample.masked_luma,
     )

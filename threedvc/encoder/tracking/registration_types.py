@@ -1,41 +1,33 @@
 # SPDX-License-Identifier: MIT
-"""What goes into registration and what comes out: choices, the model's view, the result."""
+"""What goes into registration and what comes out: the frame's sample, the model's view, choices, the result."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.arrays import Doubles, Floats
+from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.errors import ConfigError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
+from threedvc.stream.pose_status import PoseStatus
 
 __all__ = [
+    "DepthSample",
     "ModelView",
     "Registration",
     "RegistrationConfig",
+    "RegistrationProblem",
     "Sigma",
-    "Status",
     "camera_rays",
-    "check_size",
 ]
 
 Sigma = Callable[[Doubles], Doubles] | Floats
-
-
-class Status(StrEnum):
-    """How far a registration can be trusted."""
-
-    TRACKED = "tracked"
-    RELOCALISED = "relocalised"
-    WEAK = "weak"
-    LOST = "lost"
+"""Noise of the depth in metres: (h, w) float32, or a function of depths (n,) float64."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,21 +37,23 @@ class RegistrationConfig:
     Attributes
     ----------
     samples
-        Number of pixels used at the finest level, about; a frame with fewer uses all.
+        Number of pixels used at the finest level, about; a frame with fewer uses all. A thousand for each unknown
+        average the noise out.
     levels
-        Largest number of levels; each has half the luma picture of the next finer one.
+        Largest number of levels; each has half the luma picture of the next finer one, and sees twice the motion.
     iterations
-        Largest number of steps per level.
+        Largest number of steps per level: Gauss-Newton that has not converged by then does not.
     luma_weight
         Weight of the luma residuals against the depth residuals; 0 uses depth alone.
     luma_noise
-        Smallest standard deviation of luma residuals, grey levels.
+        Smallest standard deviation of luma residuals, grey levels: the noise of a common camera.
     detail_pixels
         Side of the window whose mean is taken off the luma at the finest level; 0 keeps it.
     coarse_gate, fine_gate
-        Largest distance of associated points at the coarsest and finest level, relative to depth.
+        Largest distance of associated points at the coarsest and finest level, relative to depth: at first as far
+        as motions are to be found, at last what sensors may be wrong by.
     coarse_angle_rad, fine_angle_rad
-        Largest angle between their normals.
+        Largest angle between their normals: those of noisy depth scatter widely.
     min_conditioning
         Directions with less information than this part of the best one keep the prediction.
     weak_conditioning
@@ -68,13 +62,14 @@ class RegistrationConfig:
         Whether that information is what frame and view agree on, so that noise on a plain wall does not count; else
         what the view alone says, which a small round object needs.
     min_samples
-        Fewer associated samples are a loss.
+        Fewer associated samples are a loss: ten for each unknown of the motion.
     min_inliers, weak_inliers
         Parts of the samples that meet the model and fit, below which a result is lost or weak.
     min_overlap, weak_overlap
         Parts of all samples that meet known model, below which a result is lost or weak.
     max_shift, max_turn_rad
-        Largest plausible correction of the guess, relative to depth and in radians.
+        Largest plausible correction of the guess, relative to depth and in radians; what is found beyond is another
+        part of the model that looks alike.
     rest_pixels, move_pixels
         Displacement on the picture that is always rest below the first and always motion above the second.
     rest_significance, move_significance
@@ -129,6 +124,55 @@ def _check_order(name: str, low: float, high: float) -> None:
         raise ConfigError(f"{name} bounds of registration {low}, {high} must be positive and in ascending order")
 
 
+def _check_size(name: str, picture: NDArray[np.generic], shape: tuple[int, ...]) -> None:
+    if picture.shape != shape:
+        raise ConfigError(f"{name} has shape {picture.shape}, the camera asks for {shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSample:
+    """What a frame shows of an object.
+
+    Attributes
+    ----------
+    depth
+        (h, w) float32 metres along z; 0 = no measurement.
+    luma
+        (h, w) float32 luma 0..255 at the pixels of `depth`; NaN where unknown.
+    mask
+        (h, w) bool, the pixels of the object; None: all.
+    camera
+        The depth camera.
+
+    Raises
+    ------
+    ConfigError
+        If the pictures do not have the camera's size.
+    """
+
+    depth: Floats
+    luma: Floats
+    mask: Mask | None
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        _check_size("depth", self.depth, size)
+        _check_size("intensity", self.luma, size)
+        if self.mask is not None:
+            _check_size("mask", self.mask, size)
+
+    @property
+    def measured(self) -> Mask:
+        """The pixels (h, w) of the object whose depth is known."""
+        return self.depth > 0 if self.mask is None else self.mask & (self.depth > 0)
+
+    @property
+    def masked_luma(self) -> Floats:
+        """The luma (h, w) with NaN outside the object's pixels."""
+        return self.luma if self.mask is None else np.where(self.mask, self.luma, np.float32(np.nan))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelView:
     """What is known of an object, seen from a pose.
@@ -160,15 +204,43 @@ class ModelView:
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
-        check_size("view depth", self.depth, size)
-        check_size("view normals", self.normals, (*size, 3))
-        check_size("view intensity", self.intensity, size)
+        _check_size("view depth", self.depth, size)
+        _check_size("view normals", self.normals, (*size, 3))
+        _check_size("view intensity", self.intensity, size)
 
 
-def check_size(name: str, picture: NDArray[np.generic], shape: tuple[int, ...]) -> None:
-    """Raise ConfigError if a picture does not have the shape that the camera asks for."""
-    if picture.shape != shape:
-        raise ConfigError(f"{name} has shape {picture.shape}, the camera asks for {shape}")
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RegistrationProblem:
+    """A frame that is to be registered with a view of the model.
+
+    Attributes
+    ----------
+    sample
+        What the frame shows of the object.
+    view
+        The model from a pose near the frame's, in the same camera.
+    sigma_m
+        Noise of the depth.
+    config
+        Choices.
+    threads
+        Number of threads; the result does not depend on it.
+
+    Raises
+    ------
+    ConfigError
+        If the view was cast with another camera than the frame's.
+    """
+
+    sample: DepthSample
+    view: ModelView
+    sigma_m: Sigma
+    config: RegistrationConfig = field(default_factory=RegistrationConfig)
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        if self.view.camera != self.sample.camera:
+            raise ConfigError("the view was cast with another camera than the frame's")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,7 +269,7 @@ class Registration:
     """
 
     T_camera_object: Pose
-    status: Status
+    status: PoseStatus
     inliers: int
     inlier_fraction: float
     overlap: float

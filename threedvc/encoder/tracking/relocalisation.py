@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Pictures of an object that a lost pose is found again by.
 
-A keyframe keeps features of a colour picture and the points of the object that they show. Features of another
+A keyframe keeps features of a color picture and the points of the object that they show. Features of another
 picture that match them give its pose by perspective from n points, with outliers left out: without any guess, and
 without depth. It is good to some pixels, so registration has to confirm it wherever there is depth.
 """
@@ -13,32 +13,40 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from threedvc.arrays import Doubles
+from threedvc.arrays import Doubles, Mask
+from threedvc.encoder.tracking.feature_matching import Descriptors, detect_features, match_features
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
 
-__all__ = ["Keyframes", "Sight"]
+__all__ = ["Keyframes", "PoseHypothesis"]
 
 MAX_FEATURES = 600
-FAST_THRESHOLD = 7
+"""Of a whole picture: enough that tens are seen again from elsewhere; each is held against those of every keyframe."""
 BORDER = 16
+"""Pixels at the border without features: half of what is usual, for small pictures would have none left."""
 PICTURE_SIDE = 640
+"""Wider pictures are shrunk to about this: features at the pixels of large ones are mostly noise."""
 RASTER = 4
+"""Side of the cells of color pixels by which depth is looked up: points of half as fine a picture fill them."""
 LIFTED_SIDE = 320
 """Of wider depth pictures, about so many columns serve to lift features, at least two to a cell of the raster."""
-APART_RAD, APART = 0.25, 0.15
-"""Keyframes differ by this turn, or by this way in parts of the distance of what they show."""
+MIN_TURN_RAD, MIN_SHIFT = 0.25, 0.15
+"""Keyframes differ by this turn, or by this shift in parts of the distance of what they show: what lies between two of
+them is matched with both."""
 MAX_KEYFRAMES = 400
-MAX_RATIO = 0.8
+"""Bounds memory: 13 MB, of 600 features with 56 bytes each."""
 MIN_MATCHES = 12
-REPROJECTION = 0.006
-"""Largest distance of a feature from where its point appears, in parts of the picture's width."""
+"""Fewer matches that agree on a pose may do so by chance: three points with four solutions always agree."""
+MAX_REPROJECTION = 0.006
+"""Largest distance of a feature from where its point appears, in parts of the picture's width: 4 pixels of 640."""
 DRAWS = 300
-CANDIDATES = 3
+"""Of five points each: with 0.4 of the matches right, one of them is with a chance of 0.95."""
+MAX_HYPOTHESES = 3
+"""Poses that registration has to confirm, each at the price of a view and a registration."""
 THUMBNAIL = (20, 15)
+"""Width and height of the small pictures by which keyframes are compared."""
 MAX_TRIED = 48
 """Of more keyframes only those are matched whose small pictures are most like the frame's."""
 
@@ -49,13 +57,13 @@ class _Keyframe:
 
     T_camera_object: Pose
     points: Doubles
-    descriptors: NDArray[np.uint8]
+    descriptors: Descriptors
     distance_m: float
     thumbnail: Doubles
 
 
-class Sight(NamedTuple):
-    """A pose ``T_camera_object`` before the base that features speak for, and how many do."""
+class PoseHypothesis(NamedTuple):
+    """A pose ``T_camera_object`` before the rig that features speak for, and how many do."""
 
     T_camera_object: Pose
     features: int
@@ -73,13 +81,13 @@ class Keyframes:
     def __init__(self, *rigs: CameraRig) -> None:
         self._rigs = rigs
         self._kept: list[_Keyframe] = []
-        self._thin = [_thinning(rig) for rig in rigs]
-        self._rays = [rig.depth.rays()[thin] for rig, thin in zip(rigs, self._thin, strict=True)]
+        self._strides = [_stride_of(rig) for rig in rigs]
+        self._rays = [rig.depth.rays()[stride] for rig, stride in zip(rigs, self._strides, strict=True)]
 
     def __len__(self) -> int:
         return len(self._kept)
 
-    def note(self, frame: Frame, mask: NDArray[np.bool_], T_camera_object: Pose) -> None:
+    def add(self, frame: Frame, mask: Mask, T_camera_object: Pose) -> None:
         """Keep a frame whose pose is trusted, unless the object was kept from about there before.
 
         Parameters
@@ -89,7 +97,7 @@ class Keyframes:
         mask
             (h, w) bool pixels of the object in the depth camera.
         T_camera_object
-            Its pose before the base.
+            Its pose before the rig.
         """
         T_camera_object = self._rigs[frame.sensor].at_sensor(T_camera_object)
         if len(self._kept) >= MAX_KEYFRAMES or any(_near(kept, T_camera_object) for kept in self._kept):
@@ -111,7 +119,7 @@ class Keyframes:
             )
         )
 
-    def find(self, frame: Frame, mask: NDArray[np.bool_] | None = None) -> list[Sight]:
+    def query(self, frame: Frame, mask: Mask | None = None) -> list[PoseHypothesis]:
         """Return poses at which features of a frame match keyframes, the one with most of them first.
 
         Parameters
@@ -128,11 +136,11 @@ class Keyframes:
         if len(pixels) < MIN_MATCHES:
             return []
         found = [
-            sight
+            hypothesis
             for kept in self._most_alike(frame)
-            if (sight := self._sight(kept, pixels, descriptors, self._rigs[frame.sensor])) is not None
+            if (hypothesis := self._hypothesis(kept, pixels, descriptors, self._rigs[frame.sensor])) is not None
         ]
-        return sorted(found, key=lambda sight: -sight.features)[:CANDIDATES]
+        return sorted(found, key=lambda hypothesis: -hypothesis.features)[:MAX_HYPOTHESES]
 
     def _most_alike(self, frame: Frame) -> list[_Keyframe]:
         if len(self._kept) <= MAX_TRIED:
@@ -140,26 +148,23 @@ class Keyframes:
         seen = _thumbnail(frame)
         return sorted(self._kept, key=lambda kept: -float(seen @ kept.thumbnail))[:MAX_TRIED]
 
-    def _features(self, frame: Frame) -> tuple[Doubles, NDArray[np.uint8]]:
-        """Return pixels (n, 2) in the colour camera and descriptors (n, 32)."""
-        grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
+    def _features(self, frame: Frame) -> tuple[Doubles, Descriptors]:
+        """Return pixels (n, 2) in the color camera and descriptors (n, 32)."""
+        grey = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         height, width = grey.shape
         scale = max(1, round(max(width, height) / PICTURE_SIDE))
         if scale > 1:
-            grey = cv2.resize(grey, (width // scale, height // scale), interpolation=cv2.INTER_AREA)
+            small = width // scale, height // scale
+            grey = np.asarray(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         border = min(BORDER, min(grey.shape) // 8)
-        detector = cv2.ORB.create(MAX_FEATURES, edgeThreshold=border, fastThreshold=FAST_THRESHOLD)
-        points, descriptors = detector.detectAndCompute(grey, None)
-        if not len(points):
-            return np.zeros((0, 2)), np.zeros((0, 32), np.uint8)
-        pixels = np.array([point.pt for point in points])
-        return (pixels + 0.5) * scale - 0.5, np.asarray(descriptors, dtype=np.uint8)
+        pixels, descriptors = detect_features(grey, MAX_FEATURES, border)
+        return (pixels + 0.5) * scale - 0.5, descriptors
 
-    def _lift(self, frame: Frame, mask: NDArray[np.bool_], pixels: Doubles) -> tuple[Doubles, NDArray[np.bool_]]:
-        """Return the points (n, 3) in the depth camera that colour pixels show, and which of them are the object's."""
-        rig, thin = self._rigs[frame.sensor], self._thin[frame.sensor]
-        known = frame.depth[thin] > 0
-        z = frame.depth[thin][known].astype(np.float64)
+    def _lift(self, frame: Frame, mask: Mask, pixels: Doubles) -> tuple[Doubles, Mask]:
+        """Return the points (n, 3) in the depth camera that color pixels show, and which of them are the object's."""
+        rig, stride = self._rigs[frame.sensor], self._strides[frame.sensor]
+        known = frame.depth[stride] > 0
+        z = frame.depth[stride][known].astype(np.float64)
         points = np.column_stack([self._rays[frame.sensor][known] * z[:, None], z])
         T = rig.T_color_depth
         moved = points @ T[:3, :3].T + T[:3, 3]
@@ -174,25 +179,24 @@ class Keyframes:
         raster[cells[order, 1], cells[order, 0]] = order
         own = np.floor((pixels + 0.5) / RASTER).astype(np.int64)
         number = raster[np.clip(own[:, 1], 0, shape[0] - 1), np.clip(own[:, 0], 0, shape[1] - 1)]
-        found = (number >= 0) & mask[thin][known][number] if len(points) else np.zeros(len(pixels), np.bool_)
+        found = (number >= 0) & mask[stride][known][number] if len(points) else np.zeros(len(pixels), np.bool_)
         return (points[number] if len(points) else np.zeros((len(pixels), 3))), found
 
     @staticmethod
-    def _sight(kept: _Keyframe, pixels: Doubles, descriptors: NDArray[np.uint8], rig: CameraRig) -> Sight | None:
-        matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-        pairs = [pair for pair in matcher.knnMatch(descriptors, kept.descriptors, k=2) if len(pair) == 2]
-        clear = [best for best, second in pairs if best.distance < MAX_RATIO * second.distance]
-        if len(clear) < MIN_MATCHES:
+    def _hypothesis(
+        kept: _Keyframe, pixels: Doubles, descriptors: Descriptors, rig: CameraRig
+    ) -> PoseHypothesis | None:
+        """Return the pose that matches with a keyframe speak for (EPnP in RANSAC); None where too few agree."""
+        query, train = match_features(descriptors, kept.descriptors)
+        if len(query) < MIN_MATCHES:
             return None
-        points = kept.points[[match.trainIdx for match in clear]]
-        places = pixels[[match.queryIdx for match in clear]]
-        camera = rig.color
+        points, places, camera = kept.points[train], pixels[query], rig.color
         parameters = camera.parameters()
         matrix = np.array([[parameters[0], 0, parameters[2]], [0, parameters[1], parameters[3]], [0, 0, 1]])
         try:
             fits, turn, shift, followers = cv2.solvePnPRansac(
                 points, places, matrix, parameters[4:9], iterationsCount=DRAWS,
-                reprojectionError=REPROJECTION * camera.width, flags=cv2.SOLVEPNP_EPNP,
+                reprojectionError=MAX_REPROJECTION * camera.width, flags=cv2.SOLVEPNP_EPNP,
             )  # fmt: skip
         except cv2.error:  # points that leave the pose open, such as all in one place
             return None
@@ -202,10 +206,10 @@ class Keyframes:
         turn, shift = cv2.solvePnPRefineLM(points[follow], places[follow], matrix, parameters[4:9], turn, shift)
         R = rotation_from_vector(np.asarray(turn, dtype=np.float64).ravel())
         T_color_object = make_pose(R, np.asarray(shift, dtype=np.float64).ravel())
-        return Sight(rig.at_base(compose(inverse(rig.T_color_depth), T_color_object)), len(follow))
+        return PoseHypothesis(rig.at_base(compose(inverse(rig.T_color_depth), T_color_object)), len(follow))
 
 
-def _thinning(rig: CameraRig) -> tuple[slice, slice]:
+def _stride_of(rig: CameraRig) -> tuple[slice, slice]:
     """Return which rows and columns of a depth picture lift features."""
     columns = slice(
         None, None, max(1, round(min(rig.depth.width / LIFTED_SIDE, RASTER / 2 * rig.depth.fx / rig.color.fx)))
@@ -216,9 +220,9 @@ def _thinning(rig: CameraRig) -> tuple[slice, slice]:
 def _near(kept: _Keyframe, T_camera_object: Pose) -> bool:
     """Tell whether an object was kept from about the same direction and place."""
     change = T_camera_object @ inverse(kept.T_camera_object)
-    centre = np.array([0.0, 0.0, kept.distance_m])
-    way = float(np.linalg.norm(change[:3, :3] @ centre + change[:3, 3] - centre))
-    return rotation_angle(change) < APART_RAD and way < APART * kept.distance_m
+    center = np.array([0.0, 0.0, kept.distance_m])
+    displacement = float(np.linalg.norm(change[:3, :3] @ center + change[:3, 3] - center))
+    return rotation_angle(change) < MIN_TURN_RAD and displacement < MIN_SHIFT * kept.distance_m
 
 
 def _thumbnail(frame: Frame) -> Doubles:

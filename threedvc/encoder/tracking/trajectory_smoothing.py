@@ -5,7 +5,7 @@ Poses that fit colour and depth together know best how a camera moved from frame
 alone know where its surfaces meet those of other frames, but jump by what the noise of one depth picture leaves open.
 What the one differ from the other by has causes that change slowly: instants of exposure that drift apart, drift of the
 model along directions that its shape leaves open. So that difference is smoothed over time, by least squares with a
-weight on its changes, and the motion that results is eased a little.
+weight on its changes, and accelerations of the motion that results are damped a little.
 """
 
 from __future__ import annotations
@@ -18,24 +18,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles
-from threedvc.encoder.tracking.pose_track import Located
-from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_from_vector, twist_of
+from threedvc.encoder.tracking.pose_track import TrackedPose
+from threedvc.geometry.pose import Pose, compose, exp_motion, inverse, log_motion
+from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["eased", "settled", "smoothed"]
+__all__ = ["damp_acceleration", "smooth_to_depth", "smoothed"]
 
 STIFFNESS = 32.0
 """Weight of a change from one frame to the next, against a deviation from what was measured: about six frames to each
 side count."""
-EASE = 0.07
+DAMPING = 0.07
 """Weight of a change of motion, against a step away from what was measured: a hand that holds a camera has mass."""
-EASE_STEPS = 30
-FREE = 1e-9
-"""Values that nothing determines are 0."""
+DAMPING_STEPS = 30
+"""Of Jacobi's iteration, by when what is left is far below the noise of poses: the weight is small."""
+UNDETERMINED = 1e-9
+"""Weight of 0 for every value: those that nothing determines become that."""
 
 
-def settled(
-    found: Sequence[Located | None], together: Sequence[Located | None], blind: Sequence[bool]
-) -> list[Located | None]:
+def smooth_to_depth(
+    found: Sequence[TrackedPose | None], together: Sequence[TrackedPose | None], blind: Sequence[bool]
+) -> list[TrackedPose | None]:
     """Return located frames that go from one to the next as others do, and lie where they did on an average.
 
     Only tracked poses change: given ones, and those of frames that cannot be fused, stay. A camera at rest rests.
@@ -52,17 +54,17 @@ def settled(
     pairs = list(zip(found, together, strict=True))
     deviations, moves = np.zeros((len(pairs), 6)), np.zeros(len(pairs), dtype=np.bool_)
     for k, (at, both) in enumerate(pairs):
-        if at is not None and both is not None and at.usable and at.status != "known":
-            deviations[k], moves[k] = twist_of(at.T_camera_object @ inverse(both.T_camera_object)), True
-    parts = [None if at is None else at.part for at, _ in pairs]
-    joined = np.array([a is not None and a == b for a, b in pairwise(parts)])
+        if at is not None and both is not None and at.usable and at.status is not PoseStatus.KNOWN:
+            deviations[k], moves[k] = log_motion(at.T_camera_object @ inverse(both.T_camera_object)), True
+    submaps = [None if at is None else at.submap for at, _ in pairs]
+    joined = np.array([a is not None and a == b for a, b in pairwise(submaps)])
     smooth = smoothed(deviations, moves & ~np.array(blind, dtype=np.bool_), STIFFNESS * joined)
     poses: dict[int, Pose] = {}
     for k, (_, both) in enumerate(pairs):
-        if moves[k] and both is not None and not _rests(pairs, k):
-            poses[k] = compose(_motion(smooth[k]), both.T_camera_object)
+        if moves[k] and both is not None and not _is_stationary(pairs, k):
+            poses[k] = compose(exp_motion(smooth[k]), both.T_camera_object)
     for run in _runs(list(poses), joined):
-        poses |= zip(run, eased([poses[k] for k in run]), strict=True)
+        poses |= zip(run, damp_acceleration([poses[k] for k in run]), strict=True)
     result = list(found)
     for k, at in enumerate(found):
         if moves[k] and at is not None:
@@ -72,22 +74,22 @@ def settled(
     return result
 
 
-def eased(poses: Sequence[Pose]) -> list[Pose]:
+def damp_acceleration(poses: Sequence[Pose]) -> list[Pose]:
     """Return poses ``T_camera_object`` near given ones of consecutive frames that change their motion a little less.
 
-    Minimises, over small motions of each camera in its own frame, the sum of their squares plus `EASE` times that of
+    Minimises, over small motions of each camera in its own frame, the sum of their squares plus `DAMPING` times that of
     the changes of motion, turns and shifts alike.
     """
     if len(poses) < 3:
         return list(poses)
-    motions = np.array([twist_of(a @ inverse(b)) for a, b in pairwise(poses)])
+    motions = np.array([log_motion(a @ inverse(b)) for a, b in pairwise(poses)])
     bends, steps = np.diff(motions, axis=0), np.zeros((len(poses), 6))
-    for _ in range(EASE_STEPS):
+    for _ in range(DAMPING_STEPS):
         bent, pull = bends + np.diff(steps, n=2, axis=0), steps.copy()
-        for offset, weight in enumerate((EASE, -2 * EASE, EASE)):
+        for offset, weight in enumerate((DAMPING, -2 * DAMPING, DAMPING)):
             pull[offset : offset + len(bent)] += weight * bent
-        steps -= pull / (1 + 8 * EASE)
-    return [compose(inverse(_motion(step)), pose) for step, pose in zip(steps, poses, strict=True)]
+        steps -= pull / (1 + 8 * DAMPING)
+    return [compose(inverse(exp_motion(step)), pose) for step, pose in zip(steps, poses, strict=True)]
 
 
 def smoothed(values: Doubles, weights: Doubles | NDArray[np.bool_], stiffness: Doubles) -> Doubles:
@@ -104,7 +106,7 @@ def smoothed(values: Doubles, weights: Doubles | NDArray[np.bool_], stiffness: D
     stiffness
         (n - 1,) weights of the changes.
     """
-    diagonal = np.asarray(weights, dtype=np.float64) + FREE
+    diagonal = np.asarray(weights, dtype=np.float64) + UNDETERMINED
     diagonal[:-1] += stiffness
     diagonal[1:] += stiffness
     result = weights[:, None] * values
@@ -118,11 +120,7 @@ def smoothed(values: Doubles, weights: Doubles | NDArray[np.bool_], stiffness: D
     return result
 
 
-def _motion(twist: Doubles) -> Pose:
-    return make_pose(rotation_from_vector(twist[:3]), twist[3:])
-
-
-def _rests(pairs: Sequence[tuple[Located | None, Located | None]], frame: int) -> bool:
+def _is_stationary(pairs: Sequence[tuple[TrackedPose | None, TrackedPose | None]], frame: int) -> bool:
     """Tell whether both poses of a frame are those of the frame before."""
     if not frame:
         return False
