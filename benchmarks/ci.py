@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from reporting import REPOSITORY, commit, markdown_table
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig, Motion, Preset, RenderConfig, with_preset
-from threedvc.decoder.replay import played
+from threedvc.decoder.replay import replay
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.fusion.surface_extraction import read_surface
@@ -181,7 +181,7 @@ def _stream_stages(
     sequence: SyntheticSequence, frames: Sequence[Frame], packets: Sequence[Packet]
 ) -> dict[str, Callable[[], object]]:
     """Return drawing, a live encode and a decode."""
-    *_, last = played(packets, 1, lambda state: state.index == FRAMES - 1)
+    *_, last = replay(packets, 1, lambda state: state.index == FRAMES - 1)
     stream = _stream(packets)
 
     def drawing() -> None:

@@ -17,13 +17,13 @@ from threedvc.coding.gains import apply_gain
 from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
+from threedvc.decoder.replay import DrawableModels
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import open_input
 from threedvc.frames.frame import SequenceInfo
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.render.picture import Picture
-from threedvc.render.render_model import RenderModel
 from threedvc.render.renderer import Renderer
 from threedvc.stream.headers import SensorHeader, StreamHeader
 from threedvc.stream.packets import PacketType
@@ -99,8 +99,8 @@ class DecodedStream:
         if camera_path is not None and not len(camera_path):
             raise ConfigError("the camera path has no poses; give one line for each frame")
         render = render or RenderConfig()
-        self._filmed = render.filmed_depth and "depth" in what and objects is None and camera_path is None
-        self.decoder = Decoder(filmed=self._filmed)
+        self._captured_depth = render.filmed_depth and "depth" in what and objects is None and camera_path is None
+        self.decoder = Decoder(captured_depth=self._captured_depth)
         self._frames, self._what, self._objects = frames or (0, None), what, objects
         self._camera_path = camera_path
         self._opened = ExitStack()
@@ -122,9 +122,9 @@ class DecodedStream:
         rigs = [rig_of(header) for header in headers]
         shown = [rig if size is None else rig.resized(*size) for rig in rigs]
         self._sensor = 0 if sensor is None and camera_path is not None else sensor
-        self._as_filmed = camera_path is None and all(_same_size(*pair) for pair in zip(rigs, shown, strict=True))
+        self._same_picture = camera_path is None and all(_same_size(*pair) for pair in zip(rigs, shown, strict=True))
         self._renderers = [Renderer(rig, render) for rig in shown]
-        self._models: dict[int, RenderModel] = {}
+        self._drawable = DrawableModels(render.threads)
         self.infos = tuple(_info(header, rig, what) for header, rig in zip(headers, shown, strict=True))
 
     def close(self) -> None:
@@ -183,24 +183,20 @@ class DecodedStream:
         """Draw the objects; gain and shift are those of the camera that filmed, not of one on another path."""
         renderer = self._renderers[state.sensor]
         shown = {number: pose for number, pose in poses.items() if self._shows(number)}
-        for number in shown:
-            if number not in self._models:
-                self._models[number] = RenderModel(self.decoder.models[number])
-            self._models[number].refresh(renderer.config.threads)
-        filmed = self._camera_path is None
+        as_captured = self._camera_path is None
         picture = renderer.draw(
-            self._models,
+            self._drawable.refreshed(self.decoder.models, shown),
             shown,
             color="color" in self._what,
-            gain=apply_gain(state.gain) if filmed else None,
-            T_shifted_camera=state.T_shifted_camera if filmed else None,
+            gain=apply_gain(state.gain) if as_captured else None,
+            T_shifted_camera=state.T_shifted_camera if as_captured else None,
             backdrop=state.backdrop if self._objects is None or 0 in self._objects else None,
             lights={number: light for number, light in state.lights.items() if number in shown},
-            filters=state.filters if self._as_filmed else None,
+            filters=state.filters if self._same_picture else None,
         )
-        if state.filmed is None:
+        if state.captured_depth is None:
             return picture
-        return replace(picture, depth=state.filmed.shown(picture.depth, renderer.config.threads))
+        return replace(picture, depth=state.captured_depth.shown(picture.depth, renderer.config.threads))
 
 
 @contextmanager

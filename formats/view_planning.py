@@ -138,7 +138,7 @@ def explore(
         If no frame of it shows a surface.
     """
     config = config or ExplorationConfig()
-    decoder = Decoder(filmed=False)
+    decoder = Decoder(captured_depth=False)
     with open_input(source) as reader, errors_named(reader.name):
         states = thinned(_states(decoder, reader, on_frame))
         if decoder.header is None:

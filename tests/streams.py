@@ -16,22 +16,18 @@ from threedvc.coding.color import ColorSettings
 from threedvc.coding.gains import apply_gain
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import encode_update_with_result
-from threedvc.config import RenderConfig
-from threedvc.decoder.decoder import Decoder
+from threedvc.decoder.replay import replay
 from threedvc.formats.container import StreamReader, StreamWriter
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, make_pose
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
-from threedvc.render.render_model import RenderModel
-from threedvc.render.renderer import Renderer
 from threedvc.stream.batch import pack_batch
 from threedvc.stream.frame_report import FrameReport, report_packet
 from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, ObjectHeader, PoseHeader, StreamHeader
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.pose_status import PoseStatus
-from threedvc.stream.sensor_description import rig_of
 
 __all__ = [
     "FRAMES",
@@ -235,18 +231,11 @@ class FakeStream:
 
 def drawn(packets: Sequence[Packet]) -> list[NDArray[np.uint8]]:
     """Decode and draw colour pictures as `threedvc.decode` does."""
-    decoder, shown = Decoder(), dict[int, RenderModel]()
     pictures = []
-    renderer: Renderer | None = None
-    for state in decoder.frames(packets):
-        assert decoder.header is not None
-        renderer = renderer or Renderer(rig_of(decoder.header), RenderConfig(threads=2))
-        for number in state.T_camera_object:
-            shown.setdefault(number, RenderModel(decoder.models[number])).refresh(2)
+    for state, renderer, models in replay(packets, 2):
         picture = renderer.draw(
-            shown, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
+            models, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
             backdrop=state.backdrop, lights=state.lights, filters=state.filters,
         )  # fmt: skip
         pictures.append(picture.color)
-    assert decoder.complete
     return pictures

@@ -8,14 +8,17 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 from threedvc.formats.container import FILE_HEAD_BYTES, Record
+from threedvc.stream.header_types import read_header
 from threedvc.stream.headers import BatchHeader, ClockHeader, DepthHeader, Header, ModelHeader, ObjectHeader, PoseHeader
 from threedvc.stream.packets import Packet, type_name
 
-__all__ = ["PacketTotal", "Tally"]
+__all__ = ["ByteCounts", "PacketTotal"]
 
-HEADERS: dict[int, type[Header]] = {
-    kind.packet_type: kind for kind in (BatchHeader, ClockHeader, DepthHeader, ModelHeader, ObjectHeader, PoseHeader)
-}
+READ_TYPES = frozenset(
+    header_type.packet_type
+    for header_type in (BatchHeader, ClockHeader, DepthHeader, ModelHeader, ObjectHeader, PoseHeader)
+)
+"""Types of packets whose header tells of which frames or object their bytes are; all others follow the one before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +39,7 @@ class _Share:
 
 
 @dataclass(kw_only=True)
-class Tally:
+class ByteCounts:
     """Sizes of the packets of a stream, framing included.
 
     Attributes
@@ -65,7 +68,7 @@ class Tally:
         name = type_name(packet.type)
         total = self.packets.get(name, PacketTotal(count=0, bytes=0))
         self.packets[name] = PacketTotal(count=total.count + 1, bytes=total.bytes + part.size)
-        header = HEADERS[packet.type].from_map(packet.header) if packet.type in HEADERS else None
+        header = read_header(packet) if packet.type in READ_TYPES else None
         self._shares.append(self._share(header, part.size))
         if isinstance(header, ObjectHeader | ModelHeader | PoseHeader):
             self.object_bytes[header.object_id] += part.size

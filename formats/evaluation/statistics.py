@@ -21,7 +21,7 @@ from threedvc.decoder.decoder import Decoder
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import StreamReader
 from threedvc.formats.decoding import DecodedFrame, DecodedStream, errors_named, open_stream
-from threedvc.formats.evaluation.byte_counts import Tally
+from threedvc.formats.evaluation.byte_counts import ByteCounts
 from threedvc.formats.evaluation.comparison import Comparison, check_comparable, paired
 from threedvc.formats.evaluation.report import (
     FrameStatistics,
@@ -30,7 +30,7 @@ from threedvc.formats.evaluation.report import (
     StreamStatistics,
 )
 from threedvc.formats.evaluation.timeline import Course
-from threedvc.formats.evaluation.visibility import Lookout
+from threedvc.formats.evaluation.visibility import VisibilityDetector
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.formats.sources.notices import Notice, notices_of
 from threedvc.formats.sources.opening import require_folder
@@ -157,18 +157,18 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
-    tally, decoder, course = Tally(), Decoder(filmed=False), Course()
-    lookouts: dict[int, Lookout] = {}
-    packets = tally.counted(StreamReader(file, name).records())
+    byte_counts, decoder, course = ByteCounts(), Decoder(captured_depth=False), Course()
+    detectors: dict[int, VisibilityDetector] = {}
+    packets = byte_counts.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):
         for state in decoder.frames(packets):
-            if state.sensor not in lookouts:
-                lookouts[state.sensor] = Lookout(decoder.rigs[state.sensor])
-            course.add(state, lookouts[state.sensor].visible(decoder.models, state.T_camera_object))
+            if state.sensor not in detectors:
+                detectors[state.sensor] = VisibilityDetector(decoder.rigs[state.sensor])
+            course.add(state, detectors[state.sensor].visible(decoder.models, state.T_camera_object))
     if decoder.header is None:
         raise TruncatedStream(f"{name}: ends before its STREAM packet; nothing can be reported")
     file_bytes = file.seek(0, os.SEEK_END)
-    objects, frames = _objects(tally, decoder, course), len(course.times_ns)
+    objects, frames = _objects(byte_counts, decoder, course), len(course.times_ns)
     headers: list[StreamHeader | SensorHeader] = [decoder.header, *decoder.sensors]
     sensors = [_sensor(number, header, course) for number, header in enumerate(headers)]
     report = StreamStatistics(
@@ -177,9 +177,9 @@ def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
         file_bytes=file_bytes,
         duration_s=max(sensor.duration_s for sensor in sensors),
         raw_bytes=sum(sensor.raw_bytes for sensor in sensors),
-        packets=tally.packets,
+        packets=byte_counts.packets,
         objects=objects,
-        per_frame=_per_frame(course, decoder, tally.frame_bytes(frames, file_bytes)),
+        per_frame=_per_frame(course, decoder, byte_counts.frame_bytes(frames, file_bytes)),
         paper=_paper(objects, course, decoder.rigs),
         sensors=sensors,
         travel=course.camera_travel(),
@@ -187,7 +187,7 @@ def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
     return report, decoder
 
 
-def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStatistics]:
+def _objects(byte_counts: ByteCounts, decoder: Decoder, course: Course) -> list[ObjectStatistics]:
     objects = []
     for number, model in sorted(decoder.models.items()):
         spans = course.spans(number)
@@ -197,8 +197,8 @@ def _objects(tally: Tally, decoder: Decoder, course: Course) -> list[ObjectStati
                 id=number,
                 cells=model.cell_count,
                 voxel_size_m=model.voxel_size_m,
-                bytes=tally.object_bytes[number],
-                poses=tally.poses[number],
+                bytes=byte_counts.object_bytes[number],
+                poses=byte_counts.poses[number],
                 guessed=model.guessed,
                 passing=model.passing,
                 spans=spans,

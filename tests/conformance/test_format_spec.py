@@ -15,12 +15,14 @@ import pytest
 
 from container_streams import DIGEST, records, stream_header, stream_of
 from threedvc import errors, limits
+from threedvc.decoder.packet_handlers import HANDLERS
 from threedvc.formats.container import layout
 from threedvc.formats.container.framing import COMPRESSED_TYPES
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
 from threedvc.stream.batch import pack_batch
-from threedvc.stream.header_fields import Kind
+from threedvc.stream.header_fields import FieldType
+from threedvc.stream.header_types import BATCH_TYPES, HEADER_TYPES
 from threedvc.stream.headers import BatchHeader, EndHeader, Header, ObjectHeader, PoseHeader
 from threedvc.stream.packets import RESERVED_TYPES, TOP_LEVEL_TYPES, PacketFlag, PacketType, is_understood
 from threedvc.stream.wire import DIGEST_BYTES, pack_varint
@@ -28,13 +30,13 @@ from threedvc.stream.wire import DIGEST_BYTES, pack_varint
 Rows = list[dict[str, str]]
 
 
-def kinds_of(base: type[Header]) -> list[type[Header]]:
+HEADERS = list(HEADER_TYPES.values())
+
+
+def header_classes(base: type[Header]) -> list[type[Header]]:
     """Return a header class, if it is that of a packet, and all that are derived from it."""
-    derived = [kind for each in base.__subclasses__() for kind in kinds_of(each)]
+    derived = [header for each in base.__subclasses__() for header in header_classes(each)]
     return [base, *derived] if hasattr(base, "packet_type") else derived
-
-
-HEADERS = kinds_of(Header)
 
 
 @pytest.fixture(scope="module")
@@ -132,13 +134,23 @@ def test_understood_types(spec: str) -> None:
 def test_header_fields(spec: str, header: type[Header]) -> None:
     rows = table(spec, f"Header: {header.packet_type.name}")
     for row, field in zip(rows, dataclasses.fields(header), strict=True):
-        kind: Kind = field.metadata["kind"]
+        field_type: FieldType = field.metadata["type"]
         assert unquoted(row["key"]) == field.metadata["key"]
         assert row["field"] == field.name
-        assert row["type"] == kind.description
+        assert row["type"] == field_type.description
         required = field.default is dataclasses.MISSING
         assert row["default"] == ("required" if required else f"`{json.dumps(field.default)}`"), field.name
         assert row["meaning"]
+
+
+def test_every_header_is_registered() -> None:
+    assert {header: header.packet_type for header in header_classes(Header)} == {
+        header: number for number, header in HEADER_TYPES.items()
+    }
+
+
+def test_every_header_in_a_batch_has_a_handler() -> None:
+    assert {header.packet_type for header in HANDLERS} == BATCH_TYPES
 
 
 def test_keys_are_unique() -> None:

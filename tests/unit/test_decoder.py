@@ -204,7 +204,7 @@ def test_the_report_is_gathered_wherever_it_stands() -> None:
 
 
 def test_an_unbounded_report_keeps_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("threedvc.decoder.decoder.MAX_COUNT", 5)
+    monkeypatch.setattr("threedvc.decoder.stream_notes.MAX_COUNT", 5)
     told = [FrameReport(index=k, timestamp_ns=k, status=PoseStatus.KNOWN, entropy_bits=2.0**k) for k in range(4)]
     decoder = decoded(*[report_packet(told)] * 3, Author().end(0))
     assert decoder.report.entropy_bits == (1, 2, 4, 8, 1)

@@ -125,7 +125,7 @@ def test_groups_of_frames_have_a_video_each() -> None:
     assert [(header.frame, header.count) for header in headers] == [(0, 5), (5, 5), (10, 2)]
     assert not any(member.critical for member in video_of(packets))
     states = list(Decoder().frames(packets))
-    assert all(state.filmed is not None for state in states)
+    assert all(state.captured_depth is not None for state in states)
 
 
 @with_video
@@ -193,7 +193,7 @@ def test_frames_without_depth_have_no_picture() -> None:
     headers = [VideoHeader.from_map(member.header) for member in video_of(packets)]
     assert [(header.frame, header.count) for header in headers] == [(0, 3), (5, 4), (10, 2)]
     states = list(Decoder().frames(packets))
-    assert [state.index for state in states if state.filmed is None] == [3, 4, 9]
+    assert [state.index for state in states if state.captured_depth is None] == [3, 4, 9]
 
 
 @with_video

@@ -12,7 +12,7 @@ import pytest
 from container_streams import CAMERA, DIGEST, stream_header
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.stream import batch, headers, packets
-from threedvc.stream.batch import pack_batch, split_batch, unpack_batch
+from threedvc.stream.batch import pack_batch, read_batch, split_batch, unpack_batch
 from threedvc.stream.headers import (
     BatchHeader,
     ClockHeader,
@@ -189,6 +189,19 @@ def test_batch_round_trip() -> None:
     assert BatchHeader.from_map(joined.header) == HEADER
     assert unpack_batch(joined) == MEMBERS
     assert unpack_batch(pack_batch(HEADER, [])) == []
+
+
+def test_headers_of_a_batch_are_read_at_once() -> None:
+    members = read_batch(pack_batch(HEADER, MEMBERS))
+    assert [member.packet for member in members] == MEMBERS
+    assert [member.header for member in members] == [
+        ObjectHeader(object_id=1, voxel_size_m=0.004),
+        ModelHeader(object_id=1, frame=30),
+        PoseHeader(object_id=1, frame=30, count=30),
+        None,
+    ]
+    with pytest.raises(CorruptStream, match=r"POSE header: 'f' \(frame\) is missing"):
+        read_batch(pack_batch(HEADER, [*MEMBERS, Packet(type=PacketType.POSE)]))
 
 
 def test_batch_framing_is_small() -> None:

@@ -25,7 +25,7 @@ from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.frames.sequence import FrameSequence, moments
 from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.metrics.trajectory import trajectory_error
-from threedvc.stream.sensor_order import Turn, pack_cycle, shortest_cycle, unpack_cycle
+from threedvc.stream.sensor_order import SensorSlot, pack_cycle, shortest_cycle, unpack_cycle
 from threedvc.synthesis import SyntheticSequence, make_scene, mounted_sequences
 from threedvc.units import NANOSECONDS
 
@@ -152,12 +152,16 @@ class TestJointPose:
 
 class TestTurns:
     def test_the_shortest_cycle(self) -> None:
-        turns = [Turn(sensor, together=False) for sensor in (0, 1, 0, 0, 1, 0, 0, 1)]
+        turns = [SensorSlot(sensor, synchronised=False) for sensor in (0, 1, 0, 0, 1, 0, 0, 1)]
         assert shortest_cycle(turns) == tuple(turns[:3])
         assert shortest_cycle(turns[:1]) == (turns[0],)
 
     def test_round_trip(self) -> None:
-        cycle = (Turn(0, together=False), Turn(200, together=True), Turn(3, together=False))
+        cycle = (
+            SensorSlot(0, synchronised=False),
+            SensorSlot(200, synchronised=True),
+            SensorSlot(3, synchronised=False),
+        )
         assert unpack_cycle(pack_cycle(cycle), 201) == cycle
 
     @pytest.mark.parametrize(("payload", "message"), [(b"", "no turns"), (b"\x04", "sensor 2, but the stream has 2")])

@@ -17,7 +17,7 @@ from streams import FRAMES, INFO, FakeStream, ListSequence, gradient_frame, pack
 from threedvc.errors import BadMagic, CorruptStream, FormatError, SequenceError
 from threedvc.formats.container import FILE_HEAD_BYTES, Record, StreamReader
 from threedvc.formats.evaluation import statistics as module
-from threedvc.formats.evaluation.byte_counts import Tally
+from threedvc.formats.evaluation.byte_counts import ByteCounts
 from threedvc.formats.evaluation.report import StreamStatistics
 from threedvc.formats.evaluation.statistics import statistics
 from threedvc.geometry.camera import Camera, CameraRig
@@ -47,48 +47,48 @@ def report(reference: ListSequence | None = None) -> StreamStatistics:
 
 
 class TestTally:
-    def tally(self, data: bytes) -> Tally:
-        tally = Tally()
-        for _ in tally.counted(StreamReader(io.BytesIO(data), "a.3dvc").records()):
+    def counted(self, data: bytes) -> ByteCounts:
+        byte_counts = ByteCounts()
+        for _ in byte_counts.counted(StreamReader(io.BytesIO(data), "a.3dvc").records()):
             pass
-        return tally
+        return byte_counts
 
     def test_every_byte_belongs_to_a_packet(self) -> None:
         data = packed_stream()
-        tally = self.tally(data)
-        assert sum(total.bytes for total in tally.packets.values()) == len(data) - FILE_HEAD_BYTES
-        assert {name: total.count for name, total in tally.packets.items()} == {
+        byte_counts = self.counted(data)
+        assert sum(total.bytes for total in byte_counts.packets.values()) == len(data) - FILE_HEAD_BYTES
+        assert {name: total.count for name, total in byte_counts.packets.items()} == {
             "STREAM": 1, "BATCH": 2, "OBJECT": 2, "MODEL": 2, "POSE": 2, "META": 1, "INDEX": 1, "END": 1,
         }  # fmt: skip
 
     @pytest.mark.parametrize("frames", [1, 3, 4, 10])
     def test_every_byte_belongs_to_a_frame(self, frames: int) -> None:
         data = packed_stream()
-        sizes = self.tally(data).frame_bytes(frames, len(data))
+        sizes = self.counted(data).frame_bytes(frames, len(data))
         assert len(sizes) == frames
         assert sum(sizes) == len(data)
 
     def test_no_frames_take_no_bytes(self) -> None:
-        assert self.tally(packed_stream()).frame_bytes(0, 1000) == []
+        assert self.counted(packed_stream()).frame_bytes(0, 1000) == []
 
     def test_updates_count_where_they_are_drawn(self) -> None:
-        tally = Tally()
-        tally.add(Record(BatchHeader(frame=4, count=2).packet(), 0, 30))
-        tally.add(Record(ModelHeader(frame=5).packet(), 0, 100))
-        tally.add(Record(PoseHeader(frame=4, count=2).packet(), 0, 7))
-        assert tally.frame_bytes(6, FILE_HEAD_BYTES + 137) == [FILE_HEAD_BYTES, 0, 0, 0, 15 + 3, 15 + 100 + 4]
+        byte_counts = ByteCounts()
+        byte_counts.add(Record(BatchHeader(frame=4, count=2).packet(), 0, 30))
+        byte_counts.add(Record(ModelHeader(frame=5).packet(), 0, 100))
+        byte_counts.add(Record(PoseHeader(frame=4, count=2).packet(), 0, 7))
+        assert byte_counts.frame_bytes(6, FILE_HEAD_BYTES + 137) == [FILE_HEAD_BYTES, 0, 0, 0, 15 + 3, 15 + 100 + 4]
 
     def test_a_depth_picture_counts_for_the_background(self) -> None:
-        tally = Tally()
-        tally.add(Record(packet=DepthHeader(frame=1).packet(b"abc"), offset=0, size=9))
-        assert tally.object_bytes == {0: 9}
-        assert tally.frame_bytes(3, FILE_HEAD_BYTES + 9) == [FILE_HEAD_BYTES, 9, 0]
+        byte_counts = ByteCounts()
+        byte_counts.add(Record(packet=DepthHeader(frame=1).packet(b"abc"), offset=0, size=9))
+        assert byte_counts.object_bytes == {0: 9}
+        assert byte_counts.frame_bytes(3, FILE_HEAD_BYTES + 9) == [FILE_HEAD_BYTES, 9, 0]
 
     def test_bytes_and_poses_by_object(self) -> None:
-        tally = self.tally(packed_stream())
-        assert tally.poses == {1: 4}
-        of_objects = sum(tally.packets[name].bytes for name in ("OBJECT", "MODEL", "POSE"))
-        assert sum(tally.object_bytes.values()) == of_objects
+        byte_counts = self.counted(packed_stream())
+        assert byte_counts.poses == {1: 4}
+        of_objects = sum(byte_counts.packets[name].bytes for name in ("OBJECT", "MODEL", "POSE"))
+        assert sum(byte_counts.object_bytes.values()) == of_objects
 
 
 class TestReport:

@@ -14,7 +14,7 @@ from threedvc.config import RenderConfig
 from threedvc.decoder.frame_state import FrameState
 from threedvc.formats.evaluation.frame_ranges import Span
 from threedvc.formats.evaluation.timeline import Course
-from threedvc.formats.evaluation.visibility import Lookout
+from threedvc.formats.evaluation.visibility import VisibilityDetector
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_from_vector
 from threedvc.model.decoded_model import DecodedModel
@@ -53,41 +53,41 @@ class TestLookout:
         ids=["before the wall", "behind it", "beside the picture", "behind the camera"],
     )  # fmt: skip
     def test_what_stands_where(self, models: dict[int, DecodedModel], x: float, z: float, seen: bool) -> None:
-        visible = Lookout(RIG, ONE_THREAD).visible(models, {0: at(0, 2), 1: at(x, z)})
+        visible = VisibilityDetector(RIG, ONE_THREAD).visible(models, {0: at(0, 2), 1: at(x, z)})
         assert visible == ({0, 1} if seen else {0})
 
     def test_too_small_to_be_seen_but_large_enough_to_stay(self, models: dict[int, DecodedModel]) -> None:
         # At 30 m the ball covers 1/6000 of the picture, and a single ray, of the column 1.5 pixels left of the middle.
-        lookout = Lookout(RIG, ONE_THREAD)
-        seen = [1 in lookout.visible(models, {1: at(-0.005 * z, z)}) for z in (30, 10, 30, 200, 30)]
+        detector = VisibilityDetector(RIG, ONE_THREAD)
+        seen = [1 in detector.visible(models, {1: at(-0.005 * z, z)}) for z in (30, 10, 30, 200, 30)]
         assert seen == [False, True, True, False, False]
 
     def test_the_same_frame_again_casts_nothing(
         self, models: dict[int, DecodedModel], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        lookout, poses = Lookout(RIG, ONE_THREAD), {0: at(0, 2), 1: at(0, 1.5)}
-        first = lookout.visible(models, poses)
-        monkeypatch.setattr(lookout, "_look", None)
-        assert lookout.visible(models, {number: pose.copy() for number, pose in poses.items()}) == first
+        detector, poses = VisibilityDetector(RIG, ONE_THREAD), {0: at(0, 2), 1: at(0, 1.5)}
+        first = detector.visible(models, poses)
+        monkeypatch.setattr(detector, "_look", None)
+        assert detector.visible(models, {number: pose.copy() for number, pose in poses.items()}) == first
 
     def test_a_model_that_grows_is_seen(self, models: dict[int, DecodedModel]) -> None:
         growing = DecodedModel(CELL)
-        lookout = Lookout(RIG, ONE_THREAD)
-        assert lookout.visible({1: growing}, {1: at(0, 1.5)}) == set()
+        detector = VisibilityDetector(RIG, ONE_THREAD)
+        assert detector.visible({1: growing}, {1: at(0, 1.5)}) == set()
         cells, colors = models[1].cells()
         growing.apply(ModelUpdate.adding(cells, colors))
-        assert lookout.visible({1: growing}, {1: at(0, 1.5)}) == {1}
+        assert detector.visible({1: growing}, {1: at(0, 1.5)}) == {1}
 
     def test_guessed_objects_show_where_there_is_nothing_else(self, models: dict[int, DecodedModel]) -> None:
         guessed = DecodedModel(CELL, guessed=True)
         guessed.apply(ModelUpdate.adding(*models[1].cells()))
-        assert Lookout(RIG, ONE_THREAD).visible({2: guessed}, {2: at(0, 1.5)}) == {2}
-        assert Lookout(RIG, ONE_THREAD).visible({**models, 2: guessed}, {0: at(0, 2), 2: at(0, 1.5)}) == {0}
+        assert VisibilityDetector(RIG, ONE_THREAD).visible({2: guessed}, {2: at(0, 1.5)}) == {2}
+        assert VisibilityDetector(RIG, ONE_THREAD).visible({**models, 2: guessed}, {0: at(0, 2), 2: at(0, 1.5)}) == {0}
 
     @pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 500), (100, 100), (1280, 960)])
     def test_any_size_gets_thousands_of_rays_at_most(self, width: int, height: int) -> None:
         camera = Camera(width=width, height=height, fx=300.0, fy=300.0, cx=width / 2, cy=height / 2)
-        rays: RayGrid = Lookout(CameraRig.registered_to(camera), ONE_THREAD)._rays
+        rays: RayGrid = VisibilityDetector(CameraRig.registered_to(camera), ONE_THREAD)._rays
         assert 1 <= len(rays.slopes) <= 12_000
 
 
@@ -98,7 +98,7 @@ def state(index: int, T_world_camera: Pose, T_world_object: Mapping[int, Pose]) 
         timestamp_ns=index,
         sensor=0,
         number=index,
-        together=False,
+        synchronised=False,
         T_world_camera=T_world_camera,
         T_camera_object={0: T_camera_world} | {n: T_camera_world @ pose for n, pose in T_world_object.items()},
         T_shifted_camera=np.eye(4),
@@ -106,7 +106,7 @@ def state(index: int, T_world_camera: Pose, T_world_object: Mapping[int, Pose]) 
         backdrop=None,
         lights={},
         filters=None,
-        filmed=None,
+        captured_depth=None,
     )
 
 

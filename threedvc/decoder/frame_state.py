@@ -29,7 +29,7 @@ class FrameState:
         Time of its colour picture if that is another, else None.
     sensor, number
         The sensor that took it, and which of its own frames it is.
-    together
+    synchronised
         Whether it was taken at the moment of the frame before, by another sensor.
     T_world_camera
         Pose of the sensor's depth camera.
@@ -44,16 +44,16 @@ class FrameState:
     lights
         Light on objects, by number.
     filters
-        Filter of the colour picture as filmed, or None.
-    filmed
-        Depth that stands for the drawn one in the frame as filmed, or None.
+        Filter of the colour picture as captured, or None.
+    captured_depth
+        Depth that stands for the drawn one in the frame as captured, or None.
     """
 
     index: int
     timestamp_ns: int
     sensor: int
     number: int
-    together: bool
+    synchronised: bool
     T_world_camera: Pose
     T_camera_object: Mapping[int, Pose]
     T_shifted_camera: Pose
@@ -61,15 +61,15 @@ class FrameState:
     backdrop: Backdrop | None
     lights: Mapping[int, Light]
     filters: PostFilter | None
-    filmed: CapturedDepth | None
+    captured_depth: CapturedDepth | None
     color_timestamp_ns: int | None = None
 
 
-def camera_poses(scripts: Mapping[int, Pose]) -> dict[int, Pose]:
+def camera_poses(carried: Mapping[int, Pose]) -> dict[int, Pose]:
     """Turn the poses that the stream carries into T_camera_object.
 
     Object 0 carries T_camera_world, every other object T_world_object, so that what rests in the room
     costs nothing while the camera moves.
     """
-    T_camera_world = scripts.get(0, identity())
-    return {number: compose(T_camera_world, pose) if number else pose for number, pose in scripts.items()}
+    T_camera_world = carried.get(0, identity())
+    return {number: compose(T_camera_world, pose) if number else pose for number, pose in carried.items()}

@@ -1,40 +1,70 @@
 # SPDX-License-Identifier: MIT
-"""Frames of a stream of one's own, ready to be drawn as a decoder will draw them."""
+"""Decoded states made ready to be drawn: models laid out for ray casting, and frames of a whole stream."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
+from threedvc.model.decoded_model import DecodedModel
 from threedvc.render.render_model import RenderModel
 from threedvc.render.renderer import Renderer
 from threedvc.stream.packets import Packet
 
-__all__ = ["Playable", "played"]
+__all__ = ["DrawableModels", "ReplayedFrame", "replay"]
 
 
-class Playable(NamedTuple):
-    """A frame: where everything is in it, the renderer of its sensor, and the models so far, refreshed."""
+class DrawableModels:
+    """Decoded models laid out for ray casting, from when each is first drawn.
+
+    Parameters
+    ----------
+    threads
+        On how many to lay them out.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._models: dict[int, RenderModel] = {}
+
+    def refreshed(self, decoded: Mapping[int, DecodedModel], numbers: Iterable[int]) -> dict[int, RenderModel]:
+        """Bring the models of some objects up to date, and return all that were drawn so far, by number.
+
+        Parameters
+        ----------
+        decoded
+            Decoded models by number, as of the frame to be drawn.
+        numbers
+            The objects that are drawn.
+        """
+        for number in numbers:
+            if number not in self._models:
+                self._models[number] = RenderModel(decoded[number])
+            self._models[number].refresh(self._threads)
+        return self._models
+
+
+class ReplayedFrame(NamedTuple):
+    """A frame: where everything is in it, the renderer of its sensor, and the models so far, up to date."""
 
     state: FrameState
     renderer: Renderer
     models: dict[int, RenderModel]
 
 
-def played(packets: Sequence[Packet], threads: int, wanted: Callable[[FrameState], bool]) -> Iterator[Playable]:
-    """Decode packets, without depth as filmed, and yield the frames that are wanted."""
-    decoder, models = Decoder(filmed=False), dict[int, RenderModel]()
+def replay(
+    packets: Iterable[Packet], threads: int, wanted: Callable[[FrameState], bool] = lambda state: True
+) -> Iterator[ReplayedFrame]:
+    """Decode packets, without depth as captured, and yield the frames that are wanted, as a decoder will draw them."""
+    decoder, drawable = Decoder(captured_depth=False), DrawableModels(threads)
     renderers: dict[int, Renderer] = {}
     for state in decoder.frames(packets):
         if not wanted(state):
             continue
         if state.sensor not in renderers:
             renderers[state.sensor] = Renderer(decoder.rigs[state.sensor], RenderConfig(threads=threads))
-        for number in state.T_camera_object:
-            if number not in models:
-                models[number] = RenderModel(decoder.models[number])
-            models[number].refresh(threads)
-        yield Playable(state, renderers[state.sensor], models)
+        models = drawable.refreshed(decoder.models, state.T_camera_object)
+        yield ReplayedFrame(state, renderers[state.sensor], models)

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.poses import PoseCoder
-from threedvc.geometry.pose import identity
+from threedvc.geometry.pose import Pose, identity
 from threedvc.render.captured_depth import CapturedDepth
 from threedvc.stream.headers import SensorHeader, StreamHeader
 from threedvc.stream.sensor_description import nearest_multiple, rig_of
@@ -16,32 +19,57 @@ __all__ = ["SensorState"]
 class SensorState:
     """One sensor.
 
+    Parameters
+    ----------
+    header
+        Its description.
+    shift_coder
+        Decodes where its depth camera stood when colour pictures were taken.
+
     Attributes
     ----------
     header, rig
         Its description.
     frames
         How many frames it has taken so far.
-    shift, gain, correction_ns, filmed
-        Of the next frame that it takes.
+    shift_coder, gain_coder
+        Decoders of its SHIFT and GAIN packets.
+    shift, gain
+        Those of the next frame that it takes: see `FrameState`.
     """
 
-    def __init__(self, header: StreamHeader | SensorHeader, steps: tuple[float, float]) -> None:
+    def __init__(self, header: StreamHeader | SensorHeader, shift_coder: PoseCoder) -> None:
         self.header, self.rig = header, rig_of(header)
         self.frames = 0
-        self.shift, self.shifts = identity(), PoseCoder(*steps)
-        self.gain, self.gains = NEUTRAL, GainCoder(header.grey)
-        self.correction_ns = 0
-        self.filmed: CapturedDepth | None = None
+        self.shift_coder, self.gain_coder = shift_coder, GainCoder(header.grey)
+        self.shift, self.gain = identity(), NEUTRAL
+        self._correction_ns = 0
+        self._captured_depth: CapturedDepth | None = None
 
-    def next_time(self) -> int:
-        """Return the time of its next frame."""
+    def set_shift(self, T_shifted_camera: Pose) -> None:
+        """Place the depth camera for colour pictures, from the next frame on."""
+        self.shift = T_shifted_camera
+
+    def set_gain(self, gain: NDArray[np.int64]) -> None:
+        """Set the gain (3, 2) of the colour camera, from the next frame on."""
+        self.gain = gain
+
+    def set_clock_correction(self, correction_ns: int) -> None:
+        """Let the next frame alone stand so much later than the regular clock says."""
+        self._correction_ns = correction_ns
+
+    def set_captured_depth(self, depth: CapturedDepth) -> None:
+        """Let a depth picture stand for the drawn one in the next frame alone."""
+        self._captured_depth = depth
+
+    def take_time_ns(self) -> int:
+        """Return the time of its next frame, whose correction is then used up."""
         header = self.header
         nominal = header.start_ns + nearest_multiple(self.frames, header.period_num, header.period_den)
-        time, self.correction_ns = nominal + self.correction_ns, 0
+        time, self._correction_ns = nominal + self._correction_ns, 0
         return time
 
-    def next_filmed(self) -> CapturedDepth | None:
-        """Return the depth of its next frame, if there is a video of it."""
-        filmed, self.filmed = self.filmed, None
-        return filmed
+    def take_captured_depth(self) -> CapturedDepth | None:
+        """Return the depth of its next frame, if there is a video of it, which is then used up."""
+        depth, self._captured_depth = self._captured_depth, None
+        return depth

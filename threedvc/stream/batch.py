@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import (
@@ -11,11 +12,19 @@ from threedvc.limits import (
     MAX_HEADER_BYTES,
     MAX_PAYLOAD_BYTES,
 )
-from threedvc.stream.headers import BatchHeader
+from threedvc.stream.header_types import read_header
+from threedvc.stream.headers import BatchHeader, Header
 from threedvc.stream.packets import TOP_LEVEL_TYPES, Packet, PacketFlag, is_understood, type_name
 from threedvc.stream.wire import ByteReader, pack_map, pack_varint, unpack_map
 
-__all__ = ["pack_batch", "split_batch", "unpack_batch"]
+__all__ = ["Member", "pack_batch", "read_batch", "split_batch", "unpack_batch"]
+
+
+class Member(NamedTuple):
+    """A packet in a BATCH and its header; None for a type without keys of its own, such as META."""
+
+    packet: Packet
+    header: Header | None
 
 
 def pack_batch(header: BatchHeader, packets: Sequence[Packet]) -> Packet:
@@ -72,6 +81,19 @@ def unpack_batch(packet: Packet) -> list[Packet]:
         If a packet is critical and of an unknown type.
     """
     return [member for member, _ in split_batch(packet) if is_understood(member.type, member.critical)]
+
+
+def read_batch(packet: Packet) -> list[Member]:
+    """Return the packets in a BATCH with their headers read; those unknown to this reader are passed over.
+
+    Raises
+    ------
+    CorruptStream
+        If the payload is not a sequence of packets, or one has an impossible header.
+    LimitExceeded, UnsupportedVersion
+        As by `unpack_batch`.
+    """
+    return [Member(member, read_header(member)) for member in unpack_batch(packet)]
 
 
 def _pack_member(packet: Packet) -> bytes:

@@ -11,15 +11,16 @@ import zstandard
 from threedvc.errors import CorruptStream
 from threedvc.limits import MAX_COUNT, MAX_FRAME
 from threedvc.stream.packets import Packet, PacketType
-from threedvc.stream.wire import ByteReader, pack_signed_varint, pack_varint
+from threedvc.stream.wire import MAX_VARINT_BYTES, META_ZSTD_LEVEL, ByteReader, pack_signed_varint, pack_varint
 
 __all__ = ["color_times_packet", "unpack_color_times"]
 
 KIND = "color times"
 FIRST_FRAME = "f"
-MAX_BYTES = 10 * MAX_COUNT
-"""A varint has ten bytes at most."""
+MAX_BYTES = MAX_VARINT_BYTES * MAX_COUNT
+"""Bytes of a packet's varints."""
 MAX_OFFSET_NS = 1 << 62
+"""Half the range of signed 64-bit times."""
 
 
 def color_times_packet(first: int, offsets_ns: Sequence[int]) -> Packet:
@@ -34,7 +35,7 @@ def color_times_packet(first: int, offsets_ns: Sequence[int]) -> Packet:
     """
     steps = [later - earlier for earlier, later in pairwise([0, *offsets_ns])]
     parts = [pack_varint(len(offsets_ns)), *(pack_signed_varint(step) for step in steps)]
-    payload = zstandard.ZstdCompressor(level=19).compress(b"".join(parts))
+    payload = zstandard.ZstdCompressor(level=META_ZSTD_LEVEL).compress(b"".join(parts))
     return Packet(type=PacketType.META, header={"k": KIND, FIRST_FRAME: first}, payload=payload, critical=False)
 
 

@@ -15,15 +15,19 @@ from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_COUNT
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.pose_status import PoseStatus
-from threedvc.stream.wire import ByteReader, pack_signed_varint, pack_varint
+from threedvc.stream.wire import META_ZSTD_LEVEL, ByteReader, pack_signed_varint, pack_varint
 
 __all__ = ["REPORT_KIND", "FrameReport", "OnFrame", "StreamReport", "report_packet", "unpack_report"]
 
 REPORT_KIND = "report"
 STEPS_PER_OCTAVE = 32
+"""Levels of entropy up to its double: 2.2 % apart, so that a level is within 1.1 %."""
+MAX_LEVEL = 64 * STEPS_PER_OCTAVE
+"""That of 2^64 bits: no model that fits into memory has so many."""
 STATUSES = (PoseStatus.KNOWN, PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.LOST, PoseStatus.RELOCALISED)
 """In the order of their numbers in the stream."""
 MAX_REPORT_BYTES = 8 * MAX_COUNT
+"""More than frames can take: two bytes each for a step of entropy, and two to four for a run of one status."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +83,7 @@ def report_packet(frames: Sequence[FrameReport]) -> Packet:
     parts = [pack_varint(len(frames)), pack_varint(len(runs))]
     parts += [pack_varint(code) + pack_varint(count) for code, count in runs]
     parts += [pack_signed_varint(step) for step in steps]
-    payload = zstandard.ZstdCompressor(level=19).compress(b"".join(parts))
+    payload = zstandard.ZstdCompressor(level=META_ZSTD_LEVEL).compress(b"".join(parts))
     return Packet(type=PacketType.META, header={"k": REPORT_KIND}, payload=payload, critical=False)
 
 
@@ -104,7 +108,7 @@ def unpack_report(packet: Packet) -> StreamReport | None:
             raise CorruptStream(f"the encoder's report has a run of {length} frames of status {code}")
         status += [STATUSES[code]] * length
     levels = list(accumulate(reader.signed_varint() for _ in range(len(status))))
-    if len(status) != count or reader.remaining or not all(0 <= level < 64 * STEPS_PER_OCTAVE for level in levels):
+    if len(status) != count or reader.remaining or not all(0 <= level < MAX_LEVEL for level in levels):
         raise CorruptStream(f"the encoder's report of {count} frames is not complete")
     bits = tuple(float(2 ** (level / STEPS_PER_OCTAVE)) for level in levels)
     return StreamReport(entropy_bits=bits, status=tuple(status))

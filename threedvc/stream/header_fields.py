@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of values that stand in packet headers.
+"""Types of values that stand in packet headers.
 
-A header field declares its key in the stream and its kind. The declaration serves the writer, the
+A header field declares its key in the stream and its type. The declaration serves the writer, the
 reader and the check of docs/format.md alike.
 """
 
@@ -18,46 +18,48 @@ from threedvc.errors import ConfigError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import is_rigid
 
-__all__ = ["Kind", "blob", "camera", "extrinsic", "flag", "integer", "key", "names", "number", "text"]
+__all__ = ["FieldType", "blob", "camera", "extrinsic", "flag", "integer", "key", "names", "number", "text"]
 
 CAMERA_NUMBERS = 11
+"""Width and height, focal lengths, principal point, and the five coefficients of the lens that OpenCV has."""
 EXTRINSIC_NUMBERS = 12
+"""Three rows of four: the fourth of a rigid transform is always 0, 0, 0, 1."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class FieldType:
     """Values that a header field may have.
 
     Attributes
     ----------
     description
-        The kind in words, as it stands in docs/format.md.
+        The type in words, as it stands in docs/format.md.
     read
-        Returns the value in its Python type; raises ValueError if it is not of this kind.
+        Returns the value in its Python type; raises ValueError if it is not of this type.
     """
 
     description: str
     read: Callable[[Any], Any]
 
 
-def key(name: str, kind: Kind, **options: Any) -> Any:
-    """Declare a header field, its key in the stream and its kind."""
-    return field(metadata={"key": name, "kind": kind}, **options)
+def key(name: str, field_type: FieldType, **options: Any) -> Any:
+    """Declare a header field, its key in the stream and its type."""
+    return field(metadata={"key": name, "type": field_type}, **options)
 
 
-def integer(low: int, high: int) -> Kind:
-    """Return the kind of integers from `low` to `high`, both included."""
+def integer(low: int, high: int) -> FieldType:
+    """Return the type of integers from `low` to `high`, both included."""
 
     def read(value: Any) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise ValueError
         return value
 
-    return Kind(f"int {low}..{high}", read)
+    return FieldType(f"int {low}..{high}", read)
 
 
-def number(low: float, high: float) -> Kind:
-    """Return the kind of finite numbers from `low` to `high`, both included."""
+def number(low: float, high: float) -> FieldType:
+    """Return the type of finite numbers from `low` to `high`, both included."""
 
     def read(value: Any) -> float:
         result = _finite(value)
@@ -65,33 +67,33 @@ def number(low: float, high: float) -> Kind:
             raise ValueError
         return result
 
-    return Kind(f"float {low:g}..{high:g}", read)
+    return FieldType(f"float {low:g}..{high:g}", read)
 
 
-def flag() -> Kind:
-    """Return the kind of yes or no."""
+def flag() -> FieldType:
+    """Return the type of yes or no."""
 
     def read(value: Any) -> bool:
         if not isinstance(value, bool):
             raise ValueError
         return value
 
-    return Kind("bool", read)
+    return FieldType("bool", read)
 
 
-def text(longest: int) -> Kind:
-    """Return the kind of texts of up to `longest` bytes of UTF-8."""
+def text(longest: int) -> FieldType:
+    """Return the type of texts of up to `longest` bytes of UTF-8."""
 
     def read(value: Any) -> str:
         if not isinstance(value, str) or len(value.encode()) > longest:
             raise ValueError
         return value
 
-    return Kind(f"str up to {longest} bytes", read)
+    return FieldType(f"str up to {longest} bytes", read)
 
 
-def names(most: int, longest: int) -> Kind:
-    """Return the kind of lists of up to `most` texts of up to `longest` bytes."""
+def names(most: int, longest: int) -> FieldType:
+    """Return the type of lists of up to `most` texts of up to `longest` bytes."""
     item = text(longest)
 
     def read(value: Any) -> tuple[str, ...]:
@@ -99,22 +101,22 @@ def names(most: int, longest: int) -> Kind:
             raise ValueError
         return tuple(item.read(one) for one in value)
 
-    return Kind(f"list of up to {most} str up to {longest} bytes", read)
+    return FieldType(f"list of up to {most} str up to {longest} bytes", read)
 
 
-def blob(size: int) -> Kind:
-    """Return the kind of byte strings of `size` bytes."""
+def blob(size: int) -> FieldType:
+    """Return the type of byte strings of `size` bytes."""
 
     def read(value: Any) -> bytes:
         if not isinstance(value, bytes) or len(value) != size:
             raise ValueError
         return value
 
-    return Kind(f"bin of {size} bytes", read)
+    return FieldType(f"bin of {size} bytes", read)
 
 
-def camera(*, optional: bool = False) -> Kind:
-    """Return the kind of ``width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3`` that make a `Camera`."""
+def camera(*, optional: bool = False) -> FieldType:
+    """Return the type of ``width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3`` that make a `Camera`."""
 
     def read(value: Any) -> tuple[float, ...]:
         numbers = _numbers(value, CAMERA_NUMBERS, optional)
@@ -122,11 +124,11 @@ def camera(*, optional: bool = False) -> Kind:
             _check_camera(numbers)
         return numbers
 
-    return Kind(f"list of {'0 or ' if optional else ''}{CAMERA_NUMBERS} float", read)
+    return FieldType(f"list of {'0 or ' if optional else ''}{CAMERA_NUMBERS} float", read)
 
 
-def extrinsic() -> Kind:
-    """Return the kind of the first three rows of a rigid transform, or of an empty list."""
+def extrinsic() -> FieldType:
+    """Return the type of the first three rows of a rigid transform, or of an empty list."""
 
     def read(value: Any) -> tuple[float, ...]:
         numbers = _numbers(value, EXTRINSIC_NUMBERS, optional=True)
@@ -134,7 +136,7 @@ def extrinsic() -> Kind:
             raise ValueError
         return numbers
 
-    return Kind(f"list of 0 or {EXTRINSIC_NUMBERS} float", read)
+    return FieldType(f"list of 0 or {EXTRINSIC_NUMBERS} float", read)
 
 
 def _finite(value: Any) -> float:

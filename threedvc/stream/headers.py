@@ -16,7 +16,7 @@ from threedvc.limits import (
     MAX_TEXTURE_BITS,
     MAX_VIDEO_SIDE,
 )
-from threedvc.stream.header_fields import Kind, blob, camera, extrinsic, flag, integer, key, names, number, text
+from threedvc.stream.header_fields import FieldType, blob, camera, extrinsic, flag, integer, key, names, number, text
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.wire import DIGEST_BYTES
 
@@ -52,7 +52,6 @@ READER_VERSION = 1
 """Version of the meaning of packets; a stream names the lowest that its reader must have."""
 FEATURES: frozenset[str] = frozenset()
 """Optional features that this reader has; a stream may require some by name."""
-"""Bytes of the digest of the decoded models."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,14 +63,14 @@ class Header:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            kind: Kind = item.metadata["kind"]
+            field_type: FieldType = item.metadata["type"]
             try:
                 # The dataclass is frozen; this is the one place where a field takes its stored type.
-                object.__setattr__(self, item.name, kind.read(value))
+                object.__setattr__(self, item.name, field_type.read(value))
             except (ValueError, OverflowError):
                 raise ValueError(
                     f"{self.packet_type.name} header: {item.metadata['key']!r} ({item.name}) = {value!r:.100}"
-                    f" is not {kind.description}"
+                    f" is not {field_type.description}"
                 ) from None
 
     def to_map(self) -> dict[str, Any]:
@@ -90,7 +89,7 @@ class Header:
         Raises
         ------
         CorruptStream
-            If a required key is missing or a value is not of its kind.
+            If a required key is missing or a value is not of its type.
         """
         arguments = {}
         for item in fields(cls):

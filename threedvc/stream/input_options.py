@@ -20,6 +20,7 @@ SENSOR = "s"
 TEXTS = ("layout", "color", "depth", "poses")
 NUMBERS = ("depth_scale",)
 MAX_TEXT = 255
+"""Characters of an option that is a text: as long as names may be in STREAM and SENSOR."""
 
 
 def input_options_packet(sensor: int, options: InputOptions) -> Packet:

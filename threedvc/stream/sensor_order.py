@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which of several sensors takes each frame: turns that repeat in a cycle until another begins."""
+"""Which of several sensors takes each frame: slots that repeat in a cycle until another begins."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_COUNT
 from threedvc.stream.wire import ByteReader, pack_varint
 
-__all__ = ["Cycle", "Turn", "Turns", "pack_cycle", "shortest_cycle", "unpack_cycle"]
+__all__ = ["Cycle", "SensorSchedule", "SensorSlot", "pack_cycle", "shortest_cycle", "unpack_cycle"]
 
 
-class Turn(NamedTuple):
+class SensorSlot(NamedTuple):
     """One frame's sensor, and whether it was taken at the moment of the frame before, by another sensor."""
 
     sensor: int
-    together: bool
+    synchronised: bool
 
 
-Cycle: TypeAlias = tuple[Turn, ...]
+Cycle: TypeAlias = tuple[SensorSlot, ...]
+"""The slots of consecutive frames, over and over."""
 
 
-class Turns:
-    """The turns of a stream; at first all frames are the first sensor's."""
+class SensorSchedule:
+    """The slots of a stream; at first all frames are the first sensor's."""
 
     def __init__(self) -> None:
         self._first = 0
-        self._cycle: Cycle = (Turn(0, together=False),)
+        self._cycle: Cycle = (SensorSlot(0, synchronised=False),)
 
-    def copy(self) -> Turns:
-        """Return the same turns, to begin others in."""
-        result = Turns()
+    def copy(self) -> SensorSchedule:
+        """Return the same schedule, to begin other cycles in."""
+        result = SensorSchedule()
         result.begin(self._first, self._cycle)
         return result
 
@@ -40,20 +41,20 @@ class Turns:
         """Let a cycle begin with a frame."""
         self._first, self._cycle = frame, cycle
 
-    def at(self, frame: int) -> Turn:
-        """Return the turn of a frame from the beginning of the cycle on."""
+    def at(self, frame: int) -> SensorSlot:
+        """Return the slot of a frame from the beginning of the cycle on."""
         return self._cycle[(frame - self._first) % len(self._cycle)]
 
 
-def shortest_cycle(turns: Sequence[Turn]) -> Cycle:
-    """Return the shortest cycle whose repetition begins with the given turns, at least one."""
-    length = next(n for n in range(1, len(turns) + 1) if all(turns[k] == turns[k - n] for k in range(n, len(turns))))
-    return tuple(turns[:length])
+def shortest_cycle(slots: Sequence[SensorSlot]) -> Cycle:
+    """Return the shortest cycle whose repetition begins with the given slots, at least one."""
+    length = next(n for n in range(1, len(slots) + 1) if all(slots[k] == slots[k - n] for k in range(n, len(slots))))
+    return tuple(slots[:length])
 
 
 def pack_cycle(cycle: Cycle) -> bytes:
     """Return the payload of an ORDER packet."""
-    return b"".join(pack_varint(2 * turn.sensor + turn.together) for turn in cycle)
+    return b"".join(pack_varint(2 * slot.sensor + slot.synchronised) for slot in cycle)
 
 
 def unpack_cycle(payload: bytes, sensors: int) -> Cycle:
@@ -64,16 +65,16 @@ def unpack_cycle(payload: bytes, sensors: int) -> Cycle:
     CorruptStream
         If it is empty or names a sensor that is not there.
     LimitExceeded
-        If it has more than `MAX_COUNT` turns.
+        If it has more than `MAX_COUNT` slots.
     """
-    reader, cycle = ByteReader(payload), list[Turn]()
+    reader, cycle = ByteReader(payload), list[SensorSlot]()
     while reader.remaining:
-        sensor, together = divmod(reader.varint(), 2)
+        sensor, synchronised = divmod(reader.varint(), 2)
         if sensor >= sensors:
             raise CorruptStream(f"an ORDER names sensor {sensor}, but the stream has {sensors}")
         if len(cycle) == MAX_COUNT:
             raise LimitExceeded(f"an ORDER has more than {MAX_COUNT} turns")
-        cycle.append(Turn(sensor, bool(together)))
+        cycle.append(SensorSlot(sensor, bool(synchronised)))
     if not cycle:
         raise CorruptStream("an ORDER has no turns")
     return tuple(cycle)

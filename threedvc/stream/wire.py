@@ -15,12 +15,25 @@ import msgpack
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_HEADER_BYTES, MAX_HEADER_DEPTH, MAX_HEADER_ITEMS
 
-__all__ = ["DIGEST_BYTES", "ByteReader", "pack_map", "pack_signed_varint", "pack_varint", "unpack_map"]
+__all__ = [
+    "DIGEST_BYTES",
+    "MAX_VARINT_BYTES",
+    "META_ZSTD_LEVEL",
+    "ByteReader",
+    "pack_map",
+    "pack_signed_varint",
+    "pack_varint",
+    "unpack_map",
+]
 
 DIGEST_BYTES = 16
-"""Bytes of a digest of decoded state: the first of SHA-256."""
+"""Bytes of a digest of decoded state, the first of SHA-256: damage is found, forgery is not what it is for."""
 MAX_VARINT_BYTES = 10
+"""Groups of 7 bits that 64 bits take."""
 INTEGRAL_FLOAT_BOUND = 2.0**31
+"""Integers below it take at most 5 bytes of msgpack, a float64 takes 9."""
+META_ZSTD_LEVEL = 19
+"""Of Zstandard, for META payloads, which are small and packed once: its highest but for those it calls ultra."""
 
 
 def pack_map(values: dict[str, Any]) -> bytes:

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from threedvc.config import ExplorationConfig, RenderConfig
 from threedvc.decoder.frame_state import FrameState
+from threedvc.decoder.replay import DrawableModels
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.frames.sensor_model import SENSORS, SensorModel
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.model.decoded_model import DecodedModel
-from threedvc.render.render_model import RenderModel
 from threedvc.render.renderer import Renderer
 from threedvc.view_planning.candidate_views import reachable_views, upward, views_around
 from threedvc.view_planning.occupancy_field import EntropyField
@@ -186,9 +186,7 @@ def draw_frames(
     cameras = [_reduced(rig.depth, PICTURE_SIDE / max(rig.depth.width, rig.depth.height)) for rig in rigs]
     config = RenderConfig(supersample=1, threads=threads)
     renderers = [Renderer(CameraRig.registered_to(camera), config) for camera in cameras]
-    drawable = {number: RenderModel(models[number]) for number in _solid(models)}
-    for model in drawable.values():
-        model.refresh(threads)
+    drawable = DrawableModels(threads).refreshed(models, _solid(models))
     frames = []
     for state in states:
         poses = {number: state.T_camera_object[number] for number in drawable if number in state.T_camera_object}

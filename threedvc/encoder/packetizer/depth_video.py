@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.picture_sequence import can_encode_sequences, decode_sequence
-from threedvc.decoder.replay import played
+from threedvc.decoder.replay import replay
 from threedvc.encoder.packetizer.depth_run import DepthMaps, EncodedDepthRun, PictureFormat, encode_depth_run
 from threedvc.encoder.packetizer.frame_runs import runs_of
 from threedvc.encoder.rate.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stream_bytes
@@ -86,7 +86,7 @@ class _SensorFrames:
     def drawn(self, numbers: Sequence[int]) -> Iterator[NDArray[np.float32]]:
         """Yield the depth (h, w) that packets draw of some frames, whose numbers rise."""
         wanted = set(numbers)
-        for state, renderer, models in played(
+        for state, renderer, models in replay(
             self.packets, self.scene.config.threads, lambda state: state.index in wanted
         ):
             yield renderer.draw(models, state.T_camera_object, color=False).depth

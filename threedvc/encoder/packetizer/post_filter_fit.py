@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threedvc.coding.filters import MAX_FACTOR
 from threedvc.coding.gains import apply_gain
 from threedvc.decoder.frame_state import FrameState
-from threedvc.decoder.replay import played
+from threedvc.decoder.replay import replay
 from threedvc.encoder.rate.rate_control import SHARE_PER_BYTE
 from threedvc.frames.sequence import FrameSequence, spread_step
 from threedvc.kernels.render.picture_filter import add_filter_equations
@@ -61,7 +61,7 @@ def fit_post_filter(packets: Sequence[Packet], frames: FrameSequence, threads: i
     def wanted(state: FrameState) -> bool:
         return state.index % every == 0 and bool(state.T_camera_object)
 
-    for state, renderer, models in played(packets, threads, wanted):
+    for state, renderer, models in replay(packets, threads, wanted):
         equations.add(_unfiltered(renderer, models, state), frames[state.index].color)
     total = sum(len(packet.payload) for packet in packets)
     return equations.solved(SHARE_PER_BYTE / total, StreamHeader.from_map(packets[0].header).grey)

@@ -13,7 +13,7 @@ from threedvc.encoder.packetizer.sent_state import SentState
 from threedvc.stream.color_times import color_times_packet
 from threedvc.stream.headers import ClockHeader, GainHeader, OrderHeader
 from threedvc.stream.packets import Packet
-from threedvc.stream.sensor_order import Turn, pack_cycle, shortest_cycle
+from threedvc.stream.sensor_order import SensorSlot, pack_cycle, shortest_cycle
 from threedvc.stream.wire import pack_signed_varint
 
 __all__ = ["clock_packets", "color_time_packets", "gain_packets", "order_packets"]
@@ -21,7 +21,7 @@ __all__ = ["clock_packets", "color_time_packets", "gain_packets", "order_packets
 
 def order_packets(sent: SentState, scene: SceneSource, batch: BatchFrames) -> Iterator[Packet]:
     """Yield the turns of sensors in a batch, unless they go on as before."""
-    turns = [Turn(record.sensor, record.synchronised) for record in scene.records[batch.first : batch.stop]]
+    turns = [SensorSlot(record.sensor, record.synchronised) for record in scene.records[batch.first : batch.stop]]
     if any(sent.sensor_order.at(frame) != turn for frame, turn in enumerate(turns, batch.first)):
         cycle = shortest_cycle(turns)
         sent.sensor_order.begin(batch.first, cycle)

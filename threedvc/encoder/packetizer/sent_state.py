@@ -17,7 +17,7 @@ from threedvc.encoder.packetizer.scene_source import SceneSource
 from threedvc.geometry.pose import Pose, identity
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.stream.sensor_description import clock_record, nearest_multiple
-from threedvc.stream.sensor_order import Turns
+from threedvc.stream.sensor_order import SensorSchedule
 
 __all__ = ["PoseSteps", "SensorClock", "SentObject", "SentState", "pose_steps"]
 
@@ -132,7 +132,7 @@ class SentState:
         self.objects: dict[int, SentObject] = {}
         self.gain_coders = [GainCoder(sensor.grey) for sensor in sensors]
         self.shift_coders = [PoseCoder(*steps) for _ in sensors]
-        self.sensor_order = Turns()
+        self.sensor_order = SensorSchedule()
 
     def introduce(self, number: int, model: DecodedModel) -> SentObject:
         """Begin with an object of which nothing has been sent but that its cells are those of a model."""

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: MIT
+"""What each type of packet in a BATCH changes, and before which frame.
+
+A handler checks and decodes what depends on packets alone at once; what depends on the models as of its frame is
+decoded when the change is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import Final, TypeAlias, TypeVar
+
+from threedvc.coding.depth_cells import spread
+from threedvc.coding.depth_picture import decode_depths
+from threedvc.coding.filters import decode_filter
+from threedvc.coding.light import unpack_light
+from threedvc.coding.picture import decode_picture
+from threedvc.coding.picture_sequence import decode_sequence
+from threedvc.coding.poses import PoseCoder
+from threedvc.coding.relief import decode_relief
+from threedvc.coding.texture import decode_texture
+from threedvc.coding.update import decode_update
+from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
+from threedvc.decoder.decoder_state import DecoderState
+from threedvc.errors import CorruptStream, LimitExceeded
+from threedvc.geometry.pose import Pose
+from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
+from threedvc.render.captured_depth import CapturedDepth, depth_levels
+from threedvc.stream.batch import Member
+from threedvc.stream.headers import (
+    BackdropHeader,
+    BatchHeader,
+    ClockHeader,
+    DepthHeader,
+    FilterHeader,
+    GainHeader,
+    Header,
+    LightHeader,
+    ModelHeader,
+    ObjectHeader,
+    OrderHeader,
+    PoseHeader,
+    ReliefHeader,
+    ShiftHeader,
+    TextureHeader,
+    VideoHeader,
+)
+from threedvc.stream.packets import PacketType
+from threedvc.stream.wire import ByteReader
+
+__all__ = ["Change", "changes_by_frame"]
+
+Change: TypeAlias = Callable[[], None]
+"""What is done to the state before a frame is drawn."""
+FrameChange: TypeAlias = tuple[int, Change]
+Handler: TypeAlias = Callable[[DecoderState, BatchTimeline, Header, bytes], Iterable[FrameChange]]
+H = TypeVar("H", bound=Header)
+
+
+def changes_by_frame(header: BatchHeader, members: Sequence[Member], state: DecoderState) -> dict[int, list[Change]]:
+    """Return the changes of a BATCH that follows a state, by the frame before which they are made.
+
+    Raises
+    ------
+    CorruptStream
+        If packets contradict each other, or are malformed.
+    LimitExceeded
+        If they speak of more than a reader accepts.
+    """
+    _check_pose_count(members)
+    _check_videos(members)
+    timeline = lay_out(header, members, state)
+    changes: dict[int, list[Change]] = {}
+    for member in members:
+        for frame, change in _changes_of(member, state, timeline):
+            timeline.check(frame)
+            changes.setdefault(frame, []).append(change)
+    return changes
+
+
+def _check_pose_count(members: Iterable[Member]) -> None:
+    poses = sum(header.count for _, header in members if isinstance(header, PoseHeader | ShiftHeader | GainHeader))
+    if poses > MAX_COUNT:
+        raise LimitExceeded(f"a BATCH holds {poses} poses, shifts and gains, at most {MAX_COUNT} are accepted")
+
+
+def _check_videos(members: Iterable[Member]) -> None:
+    videos = (header for _, header in members if isinstance(header, VideoHeader))
+    samples = sum(video.count * video.columns * video.rows for video in videos)
+    if samples > MAX_SEQUENCE_SAMPLES:
+        raise LimitExceeded(f"a BATCH holds videos of {samples} samples, at most {MAX_SEQUENCE_SAMPLES} are accepted")
+
+
+def _changes_of(member: Member, state: DecoderState, timeline: BatchTimeline) -> Iterable[FrameChange]:
+    if member.header is not None:
+        return HANDLERS[type(member.header)](state, timeline, member.header, member.packet.payload)
+    if member.packet.type == PacketType.META:
+        state.notes.add(member.packet)
+    return ()
+
+
+def _add_object(
+    state: DecoderState, timeline: BatchTimeline, header: ObjectHeader, payload: bytes
+) -> Iterable[FrameChange]:
+    state.add_object(header)
+    return ()
+
+
+def _update(state: DecoderState, timeline: BatchTimeline, header: ModelHeader, payload: bytes) -> Iterator[FrameChange]:
+    yield header.frame, partial(_apply_update, state, header.object_id, payload)
+
+
+def _apply_update(state: DecoderState, number: int, payload: bytes) -> None:
+    model = state.object(number).model
+    model.apply(decode_update(payload, *model.cells()))
+
+
+def _relief(
+    state: DecoderState, timeline: BatchTimeline, header: ReliefHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    yield header.frame, partial(_apply_relief, state, header.object_id, payload)
+
+
+def _apply_relief(state: DecoderState, number: int, payload: bytes) -> None:
+    model = state.object(number).model
+    if not model.relief_bits:
+        raise CorruptStream(f"a RELIEF names object {number}, which has none")
+    if not len(model.untold_cells()[0]):
+        raise CorruptStream(f"a RELIEF of object {number} comes when all its cells have one")
+    decode_relief(payload, model)
+
+
+def _texture(
+    state: DecoderState, timeline: BatchTimeline, header: TextureHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    yield header.frame, partial(_apply_texture, state, header.object_id, payload)
+
+
+def _apply_texture(state: DecoderState, number: int, payload: bytes) -> None:
+    model = state.object(number).model
+    if model.texture is None:
+        raise CorruptStream(f"a TEXTURE names object {number}, which has none")
+    texels = model.bare_texels()
+    if not len(texels):
+        raise CorruptStream(f"a TEXTURE of object {number} comes when all its cells have one")
+    model.texture.paint(texels, decode_texture(payload, model, texels))
+
+
+def _depth(state: DecoderState, timeline: BatchTimeline, header: DepthHeader, payload: bytes) -> Iterator[FrameChange]:
+    state.object(0)
+    yield header.frame, partial(_add_depth_layer, state, payload)
+
+
+def _add_depth_layer(state: DecoderState, payload: bytes) -> None:
+    """Make cells of a depth picture, as seen from where the packets before it have placed the camera."""
+    camera, background = state.sensors[0].rig.depth, state.object(0)
+    spread(decode_depths(payload, camera.width, camera.height), background.model, camera, background.pose)
+
+
+def _poses(state: DecoderState, timeline: BatchTimeline, header: PoseHeader, payload: bytes) -> Iterator[FrameChange]:
+    coder = state.object(header.object_id).pose_coder
+    run = timeline.convey(f"POSE of object {header.object_id}", header)
+    for frame, pose in _decoded_poses(coder, run, payload):
+        yield frame, partial(state.set_pose, header.object_id, pose)
+
+
+def _shifts(state: DecoderState, timeline: BatchTimeline, header: ShiftHeader, payload: bytes) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("SHIFT", header)
+    for frame, shift in _decoded_poses(sensor.shift_coder, run, payload):
+        yield frame, partial(sensor.set_shift, shift)
+
+
+def _decoded_poses(coder: PoseCoder, run: RunFrames, payload: bytes) -> Iterator[tuple[int, Pose]]:
+    """Decode the poses of a run, with their frames; between runs what they place stands still."""
+    if not run.follows:
+        coder.hold()
+    return zip(run.frames, coder.decode(payload, len(run.frames)), strict=True)
+
+
+def _gains(state: DecoderState, timeline: BatchTimeline, header: GainHeader, payload: bytes) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("GAIN", header)
+    for frame, gain in zip(run.frames, sensor.gain_coder.decode(payload, header.count), strict=True):
+        yield frame, partial(sensor.set_gain, gain)
+
+
+def _clock(state: DecoderState, timeline: BatchTimeline, header: ClockHeader, payload: bytes) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("CLOCK", header)
+    reader = ByteReader(payload)
+    for frame in run.frames:
+        yield frame, partial(sensor.set_clock_correction, reader.signed_varint())
+    if reader.remaining:
+        raise CorruptStream(f"{reader.remaining} bytes follow the corrections of CLOCK")
+
+
+def _captured_depth(
+    state: DecoderState, timeline: BatchTimeline, header: VideoHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("VIDEO", header)
+    if not state.captured_depth:
+        return
+    pictures = decode_sequence(payload, header.count, header.columns, header.rows)
+    levels = depth_levels(header.nearest_m, header.ratio)
+    for frame, samples in zip(run.frames, pictures, strict=True):
+        depth = CapturedDepth(samples=samples, levels=levels, complete=header.complete)
+        yield frame, partial(sensor.set_captured_depth, depth)
+
+
+def _backdrop(
+    state: DecoderState, timeline: BatchTimeline, header: BackdropHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    yield header.frame, partial(_apply_backdrop, state, payload)
+
+
+def _apply_backdrop(state: DecoderState, payload: bytes) -> None:
+    camera = state.sensors[0].rig.color
+    state.set_backdrop(decode_picture(payload, camera.width, camera.height, state.header.grey))
+
+
+def _filters(
+    state: DecoderState, timeline: BatchTimeline, header: FilterHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    yield header.frame, partial(state.set_filters, decode_filter(payload, state.header.grey))
+
+
+def _light(state: DecoderState, timeline: BatchTimeline, header: LightHeader, payload: bytes) -> Iterator[FrameChange]:
+    state.object(header.object_id)
+    yield header.frame, partial(state.set_light, header.object_id, unpack_light(payload))
+
+
+def _order(state: DecoderState, timeline: BatchTimeline, header: OrderHeader, payload: bytes) -> Iterator[FrameChange]:
+    yield header.frame, partial(state.set_cycle, header.frame, timeline.cycles[header.frame])
+
+
+def _entry(
+    header_type: type[H], handler: Callable[[DecoderState, BatchTimeline, H, bytes], Iterable[FrameChange]]
+) -> tuple[type[Header], Handler]:
+    """Return a row of the table of handlers, which a header of any type may be handed to."""
+
+    def handle(state: DecoderState, timeline: BatchTimeline, header: Header, payload: bytes) -> Iterable[FrameChange]:
+        if not isinstance(header, header_type):
+            raise TypeError(f"a {type(header).__name__} was handed to the handler of {header_type.__name__}")
+        return handler(state, timeline, header, payload)
+
+    return header_type, handle
+
+
+HANDLERS: Final[dict[type[Header], Handler]] = dict(
+    (
+        _entry(ObjectHeader, _add_object),
+        _entry(ModelHeader, _update),
+        _entry(ReliefHeader, _relief),
+        _entry(TextureHeader, _texture),
+        _entry(DepthHeader, _depth),
+        _entry(PoseHeader, _poses),
+        _entry(ShiftHeader, _shifts),
+        _entry(GainHeader, _gains),
+        _entry(ClockHeader, _clock),
+        _entry(VideoHeader, _captured_depth),
+        _entry(BackdropHeader, _backdrop),
+        _entry(FilterHeader, _filters),
+        _entry(LightHeader, _light),
+        _entry(OrderHeader, _order),
+    )
+)
+"""By type of header: all that may stand in a BATCH."""
