@@ -15,8 +15,8 @@ from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, S
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.segmentation.downsampling import Reduction
-from threedvc.encoder.segmentation.sequence_labels import NOTHING, Division
+from threedvc.encoder.segmentation.downsampling import Downsampling
+from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
@@ -77,22 +77,22 @@ def moved_aside(frame: int) -> tuple[tuple[float, float, float], float]:
 def overlap(labels: np.ndarray, frame: Frame) -> float:
     assert frame.mask is not None
     known = frame.depth > 0
-    there = (labels > 0) & (labels != NOTHING) & known, (frame.mask > 0) & known
+    there = (labels > 0) & (labels != VOID_LABEL) & known, (frame.mask > 0) & known
     return float(np.count_nonzero(there[0] & there[1]) / max(np.count_nonzero(there[0] | there[1]), 1))
 
 
 @cache
-def divided() -> Division:
+def divided() -> SequenceLabels:
     frames = filmed(moved_aside)
-    division = Division(frames.info, CONFIG)
-    division.take(frames)
-    return division
+    sequence_labels = SequenceLabels(frames.info, CONFIG)
+    sequence_labels.segment_all(frames)
+    return sequence_labels
 
 
 def test_a_thing_that_moves_is_one_object_before_while_and_after() -> None:
     frames = filmed(moved_aside)
     labels = [divided().labels(frame) for frame in frames]
-    assert set(np.unique(labels)) - {NOTHING} == {0, 1}
+    assert set(np.unique(labels)) - {VOID_LABEL} == {0, 1}
     found = [overlap(picture, frame) for picture, frame in zip(labels, frames, strict=True)]
     assert np.median(found) > 0.9
     assert min(found) > 0.8
@@ -113,9 +113,9 @@ def test_its_pose_is_followed() -> None:
 
 def test_a_room_at_rest_has_no_objects() -> None:
     frames = filmed(None)
-    division = Division(frames.info, CONFIG)
-    division.take(frames)
-    assert set(np.unique([division.labels(frame) for frame in frames])) <= {0, NOTHING}
+    sequence_labels = SequenceLabels(frames.info, CONFIG)
+    sequence_labels.segment_all(frames)
+    assert set(np.unique([sequence_labels.labels(frame) for frame in frames])) <= {0, VOID_LABEL}
 
 
 def test_before_a_thing_is_an_object_it_is_out_of_the_picture() -> None:
@@ -133,12 +133,12 @@ def test_before_a_thing_is_an_object_it_is_out_of_the_picture() -> None:
 
 def test_while_frames_come_a_thing_is_an_object_once_it_has_moved() -> None:
     frames = filmed(moved_aside)
-    division = Division(frames.info, CONFIG)
-    labels = [division.labels(frame) for frame in frames]
+    sequence_labels = SequenceLabels(frames.info, CONFIG)
+    labels = [sequence_labels.labels(frame) for frame in frames]
     assert not any(np.any(picture == 1) for picture in labels[:START])
     assert all(np.any(picture == 1) for picture in labels[STOP:])
     assert overlap(labels[-1], frames[-1]) > 0.5
-    np.testing.assert_array_equal(division.labels(frames[-1]), labels[-1])
+    np.testing.assert_array_equal(sequence_labels.labels(frames[-1]), labels[-1])
 
 
 def there_and_back(frame: int) -> tuple[tuple[float, float, float], float]:
@@ -148,9 +148,9 @@ def there_and_back(frame: int) -> tuple[tuple[float, float, float], float]:
 
 def test_a_thing_that_left_is_out_of_the_picture_and_the_same_when_it_comes_back() -> None:
     frames = filmed(there_and_back, 56)
-    division = Division(frames.info, CONFIG)
-    division.take(frames)
-    scene = Scene(frames.info, CONFIG, None, division)
+    sequence_labels = SequenceLabels(frames.info, CONFIG)
+    sequence_labels.segment_all(frames)
+    scene = Scene(frames.info, CONFIG, None, sequence_labels)
     for frame in frames:
         scene.add(frame)
     assert sorted(scene.objects) == [0, 1]
@@ -173,19 +173,19 @@ def test_a_stream_holds_the_object(preset: Preset) -> None:
     assert sorted(states[-1].T_camera_object)[:2] == [0, 1]
 
 
-def test_a_reduction_keeps_every_nth_pixel() -> None:
+def test_downsampling_keeps_every_nth_pixel() -> None:
     camera = Camera(width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
     info = SequenceInfo(name="x", rig=CameraRig.registered_to(camera), depth_scale=1000.0, fps=30.0, frame_count=1)
-    reduction = Reduction(info)
+    downsampling = Downsampling(info)
     frame = Frame(
         index=0,
         timestamp_ns=0,
         color=np.full((480, 640, 3), 7, np.uint8),
         depth=np.arange(480 * 640, dtype=np.float32).reshape(480, 640),
     )
-    small = reduction(frame)
-    assert (reduction.stride, small.depth.shape, small.color.shape) == (2, (240, 320), (240, 320, 3))
-    assert reduction.rig.registered
+    small = downsampling.downsampled(frame)
+    assert (downsampling.stride, small.depth.shape, small.color.shape) == (2, (240, 320), (240, 320, 3))
+    assert downsampling.rig.registered
     np.testing.assert_array_equal(small.depth, frame.depth[::2, ::2])
 
 
@@ -194,10 +194,10 @@ def test_two_toys_are_two_objects(sequence_dir: Callable[[str], Path]) -> None:
     from threedvc.formats.sources import open_sequence
 
     sequence = open_sequence(sequence_dir("two_toys"))
-    division = Division(sequence.info, CONFIG)
-    division.take(sequence)
-    labels = [division.labels(frame) for frame in sequence]
-    assert set(np.unique(labels)) - {NOTHING} == {0, 1, 2}
+    sequence_labels = SequenceLabels(sequence.info, CONFIG)
+    sequence_labels.segment_all(sequence)
+    labels = [sequence_labels.labels(frame) for frame in sequence]
+    assert set(np.unique(labels)) - {VOID_LABEL} == {0, 1, 2}
     assert np.mean([overlap(picture, frame) for picture, frame in zip(labels, sequence, strict=True)]) > 0.9
 
 
@@ -217,12 +217,12 @@ def encoded(frames: Kept, mode: SegmentationMode) -> tuple[Encoder, list[Packet]
 
 def test_a_file_is_searched_for_what_moves_where_nobody_says() -> None:
     encoder, _ = encoded(untold(filmed(moved_aside)), SegmentationMode.AUTO)
-    assert encoder.scene.division is not None
+    assert encoder.scene.sequence_labels is not None
     assert set(encoder.scene.objects) >= {0, 1}
 
 
 def test_where_nothing_moves_a_file_is_as_if_it_had_not_been_searched() -> None:
     frames = untold(filmed(None, 12))
     encoder, packets = encoded(frames, SegmentationMode.AUTO)
-    assert encoder.scene.division is None
+    assert encoder.scene.sequence_labels is None
     assert packets == encoded(frames, SegmentationMode.NONE)[1]

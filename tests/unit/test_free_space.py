@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from threedvc.config import Sensor
-from threedvc.encoder.segmentation.free_space import Memory
+from threedvc.encoder.segmentation.free_space import DepthHistory
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
@@ -25,8 +25,8 @@ def wall(box_m: float | None = None, wall_m: float = 2.0) -> np.ndarray:
     return depth
 
 
-def memory(*pictures: np.ndarray) -> Memory:
-    kept = Memory(CAMERA, SENSORS[Sensor.IDEAL], 1)
+def history(*pictures: np.ndarray) -> DepthHistory:
+    kept = DepthHistory(CAMERA, SENSORS[Sensor.IDEAL], 1)
     for index, picture in enumerate(pictures):
         kept.keep(index, picture)
     return kept
@@ -37,7 +37,9 @@ def resting(_: int) -> Pose:
 
 
 def test_a_box_that_came_was_seen_through() -> None:
-    through, on = memory(wall(), wall(), wall(1.2)).sights(wall(1.2), ALL, identity(), [0, 1, 2], resting)
+    through, on = history(wall(), wall(), wall(1.2)).count_free_space_votes(
+        wall(1.2), ALL, identity(), [0, 1, 2], resting
+    )
     expected = np.zeros((24, 32))
     expected[BOX] = 2
     np.testing.assert_array_equal(through, expected)
@@ -46,7 +48,7 @@ def test_a_box_that_came_was_seen_through() -> None:
 
 
 def test_what_is_farther_than_before_was_hidden_not_seen_through() -> None:
-    through, on = memory(wall(1.2)).sights(wall(), ALL, identity(), [0], resting)
+    through, on = history(wall(1.2)).count_free_space_votes(wall(), ALL, identity(), [0], resting)
     assert not through.any()
     assert not on[10:14, 12:18].any()
 
@@ -61,28 +63,28 @@ def test_a_wall_seen_by_a_moving_camera_stands_still(turn: float) -> None:
     distance = 2.0 + normal @ shift
     moved = (distance / (np.dstack([rays, np.ones((24, 32))]) @ normal)).astype(np.float32)
     poses = [identity(), T]
-    through, on = memory(wall()).sights(moved, ALL, T, [0], lambda k: poses[k])
+    through, on = history(wall()).count_free_space_votes(moved, ALL, T, [0], lambda k: poses[k])
     assert not through.any()
     assert np.count_nonzero(on) > 300
 
 
 def test_what_moves_with_the_camera_is_seen_through_in_the_room_alone() -> None:
     shifted = make_pose(np.eye(3), np.array([0.0, 0.0, -0.3]))
-    kept = memory(wall(1.2))
+    kept = history(wall(1.2))
     nearer = np.where(wall(1.2) < 1.5, np.float32(0.9), np.float32(2.0))
     inside = ALL & (nearer < 1)
-    assert kept.sights(nearer, inside, identity(), [0], resting)[0][BOX].all()
+    assert kept.count_free_space_votes(nearer, inside, identity(), [0], resting)[0][BOX].all()
     own = [identity(), shifted]
-    assert not kept.sights(nearer, inside, shifted, [0], lambda k: own[k], whole=False)[0].any()
+    assert not kept.count_free_space_votes(nearer, inside, shifted, [0], lambda k: own[k], whole=False)[0].any()
 
 
 def test_unknown_and_forgotten_frames_tell_nothing() -> None:
-    kept = memory(np.zeros((24, 32), np.float32), wall())
-    assert not kept.sights(wall(1.2), ALL, identity(), [0, 7], resting)[0].any()
+    kept = history(np.zeros((24, 32), np.float32), wall())
+    assert not kept.count_free_space_votes(wall(1.2), ALL, identity(), [0, 7], resting)[0].any()
     kept.forget(1)
     kept.forget(1)
-    assert not kept.sights(wall(1.2), ALL, identity(), [1], resting)[0].any()
-    assert not memory(wall()).sights(wall(1.2), ALL, identity(), [0], lambda _: None)[0].any()
+    assert not kept.count_free_space_votes(wall(1.2), ALL, identity(), [1], resting)[0].any()
+    assert not history(wall()).count_free_space_votes(wall(1.2), ALL, identity(), [0], lambda _: None)[0].any()
 
 
 def test_surfaces_end_where_depth_jumps() -> None:
@@ -108,12 +110,12 @@ def test_labels_of_all_pixels_follow_the_depth() -> None:
 
 
 def test_any_number_of_frames_is_kept_and_forgotten() -> None:
-    kept = memory(*([wall(1.2)] * 300))
+    kept = history(*([wall(1.2)] * 300))
     for index in range(200):
         kept.forget(index)
     for index in range(300, 600):
         kept.keep(index, wall())
-    through, on = kept.sights(wall(1.2), ALL, identity(), [0, 250, 299, 300, 599], resting)
+    through, on = kept.count_free_space_votes(wall(1.2), ALL, identity(), [0, 250, 299, 300, 599], resting)
     assert (through[BOX] == 2).all()
     assert (on[BOX] == 2).all()
     assert (on[:4] == 4).all()

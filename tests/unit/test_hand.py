@@ -14,7 +14,8 @@ from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
-from threedvc.encoder.segmentation.sequence_labels import MOST_LIFE, NOTHING, PASSING_NUMBERS, Division
+from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
+from threedvc.encoder.segmentation.transient_numbers import MAX_SEGMENT_FRAMES, TRANSIENT_NUMBERS
 
 CONFIG = EncoderConfig(
     threads=2, motion=Motion.TRACK, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION), refine=False
@@ -29,14 +30,14 @@ def filmed(held: bool) -> ListSequence:
 
 @cache
 def labels_of(held: bool, live: bool) -> np.ndarray:
-    frames, division = filmed(held), Division(filmed(held).info, CONFIG)
+    frames, sequence_labels = filmed(held), SequenceLabels(filmed(held).info, CONFIG)
     if not live:
-        division.take(frames)
-    return np.stack([division.labels(frame) for frame in frames])
+        sequence_labels.segment_all(frames)
+    return np.stack([sequence_labels.labels(frame) for frame in frames])
 
 
 def main_label(labels: np.ndarray, masks: np.ndarray, thing: int) -> int:
-    inside = labels[(masks == thing) & (labels > 0) & (labels < PASSING_NUMBERS.start)]
+    inside = labels[(masks == thing) & (labels > 0) & (labels < TRANSIENT_NUMBERS.start)]
     return int(np.bincount(inside).argmax()) if len(inside) else 0
 
 
@@ -53,7 +54,7 @@ def test_what_a_hand_pushes_is_an_object_of_its_own(held: bool, live: bool) -> N
     for thing, label in found.items():
         there, true = (labels[last] == label) & known, (masks[last] == thing) & known
         assert np.count_nonzero(there & true) > 0.6 * np.count_nonzero(there | true)
-    others = set(np.unique(labels)) - {0, NOTHING, *PASSING_NUMBERS, *found.values()}
+    others = set(np.unique(labels)) - {0, VOID_LABEL, *TRANSIENT_NUMBERS, *found.values()}
     assert len(others) <= 1  # the hand
 
 
@@ -62,7 +63,7 @@ def test_in_a_file_things_are_labelled_before_the_hand_comes() -> None:
     labels = labels_of(False, False)[0]
     for thing in (BOX, BALL):
         inside = labels[(first.mask == thing) & (first.depth > 0)]
-        assert np.mean((inside > 0) & (inside != NOTHING)) > 0.8
+        assert np.mean((inside > 0) & (inside != VOID_LABEL)) > 0.8
 
 
 @cache
@@ -79,7 +80,7 @@ def test_what_passes_is_an_object_for_a_moment() -> None:
     assert decoder.complete
     passing = [number for number, model in decoder.models.items() if model.passing]
     assert passing
-    assert set(passing) <= set(PASSING_NUMBERS)
+    assert set(passing) <= set(TRANSIENT_NUMBERS)
     assert all(decoder.models[number].cell_count for number in passing)
     for number in passing:
         away = [
@@ -89,7 +90,7 @@ def test_what_passes_is_an_object_for_a_moment() -> None:
         ]
         assert away[-1]
         assert not all(away)
-        assert sum(not each for each in away) <= MOST_LIFE
+        assert sum(not each for each in away) <= MAX_SEGMENT_FRAMES
 
 
 def test_at_low_rates_what_passes_is_left_out() -> None:

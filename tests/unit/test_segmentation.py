@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Division of frames into objects."""
+"""Segmentation of frames into objects by masks and by depth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from threedvc.config import SegmentationConfig, SegmentationMode
-from threedvc.encoder.segmentation.masks import resolved_mode, segment, without_borders
+from threedvc.encoder.segmentation.masks import resolved_mode, segment
 from threedvc.errors import SequenceError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
@@ -66,17 +66,3 @@ def test_mask_of_another_size_is_an_error() -> None:
     mask = np.zeros((4, 5), dtype=np.uint8)
     with pytest.raises(SequenceError, match=r"^toys: mask of frame 7 has 5x4 pixels, its depth 3x2; masks belong"):
         segment(frame(mask), SegmentationConfig(mode=SegmentationMode.MASKS), info())
-
-
-def test_borders_are_left_out_on_both_sides() -> None:
-    labels = np.zeros((5, 8), dtype=np.uint8)
-    labels[:, 4:] = 3
-    inner = without_borders(labels)
-    np.testing.assert_array_equal(inner, np.tile([1, 1, 1, 0, 0, 1, 1, 1], (5, 1)).astype(bool))
-
-
-def test_border_is_as_wide_as_asked() -> None:
-    labels = np.zeros((9, 9), dtype=np.uint8)
-    labels[4, 4] = 1
-    for pixels, lost in ((0, 0), (1, 9), (2, 25)):
-        assert np.count_nonzero(~without_borders(labels, pixels)) == lost

@@ -71,7 +71,7 @@ def with_best_cells(state: Reconstruction, fusion: FusionPass, shifts: Sequence[
         config = _wider(state.config, factor)
         if factor < 1 and config.cell_factor < least:
             return inf
-        scene = Scene(state.info, config, poses, state.scene.division)
+        scene = Scene(state.info, config, poses, state.scene.sequence_labels)
         for frame in some:
             scene.add(frame)
         return rate_distortion_at(scene, some, shifts and shifts[::step], budget)

@@ -121,4 +121,4 @@ class FusionPass:
     def fuse_at(self, state: Reconstruction, poses: Mapping[int, Sequence[TrackedPose | None]]) -> Reconstruction:
         """Fuse all frames anew at given poses; what rests in the background is carried along with it."""
         carried = carry_resting_objects(poses, state.poses)
-        return self.fuse(Scene(state.info, state.config, carried, state.scene.division))
+        return self.fuse(Scene(state.info, state.config, carried, state.scene.sequence_labels))

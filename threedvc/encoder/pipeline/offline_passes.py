@@ -28,7 +28,7 @@ from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
 from threedvc.encoder.reconstruction.loop_closure import closed_loops
 from threedvc.encoder.reconstruction.pose_refinement import refined_script
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.segmentation.sequence_labels import MOST_LOST, Division
+from threedvc.encoder.segmentation.sequence_labels import MAX_LOST_SHARE, SequenceLabels
 from threedvc.encoder.tracking.pose_track import interpolate_blind_frames, merge_submaps
 from threedvc.encoder.tracking.registration import RegistrationConfig
 from threedvc.encoder.tracking.trajectory_smoothing import smooth_to_depth
@@ -132,16 +132,16 @@ def _may_divide(info: SequenceInfo, config: EncoderConfig) -> bool:
     return config.segmentation.mode is SegmentationMode.AUTO and config.refine and not told
 
 
-def _labels_by_motion(info: SequenceInfo, config: EncoderConfig, fusion: FusionPass) -> Division:
+def _labels_by_motion(info: SequenceInfo, config: EncoderConfig, fusion: FusionPass) -> SequenceLabels:
     """Divide all frames by motion."""
-    labels = Division(info, config)
-    labels.take(fusion.frames)
+    labels = SequenceLabels(info, config)
+    labels.segment_all(fusion.frames)
     return labels
 
 
 def _loses_often(state: Reconstruction) -> bool:
     """Tell if something is lost in so many frames that it is no rigid object: surfaces that shine seem to move."""
-    return sum(report.status is PoseStatus.LOST for report in state.reports) > MOST_LOST * len(state.reports)
+    return sum(report.status is PoseStatus.LOST for report in state.reports) > MAX_LOST_SHARE * len(state.reports)
 
 
 def _with_measured_noise(
@@ -178,7 +178,7 @@ def _with_extrinsics(state: Reconstruction, fusion: FusionPass) -> Reconstructio
     info = mounted_info(state.scene, fusion.frames)
     if info is None:
         return state
-    return fusion.fuse(Scene(info, state.config, state.poses, state.scene.division))
+    return fusion.fuse(Scene(info, state.config, state.poses, state.scene.sequence_labels))
 
 
 def _with_color_calibration(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
@@ -190,7 +190,7 @@ def _with_color_calibration(state: Reconstruction, fusion: FusionPass) -> Recons
     tracked = state.tracked
     info = calibrated_info(state.scene, fusion.frames)
     if info is not None:
-        state = fusion.fuse(Scene(info, state.config, state.poses, state.scene.division), state.config)
+        state = fusion.fuse(Scene(info, state.config, state.poses, state.scene.sequence_labels), state.config)
     elif tracked:
         state = _tracked_anew(state, fusion)
     poses = refined_script(state.scene, fusion.frames, TO_DEPTH if tracked and info is not None else None)
@@ -204,7 +204,7 @@ def _tracked_anew(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
     """Track everything again with luma at its full weight."""
     cells = min(state.config.cell_factor, 1.0)  # wider ones, for a low rate, would blunt the tracking
     narrow = replace(state.config, cell_factor=cells)
-    scene = Scene(state.info, narrow, None, state.scene.division, luma_weight=SURE_LUMA)
+    scene = Scene(state.info, narrow, None, state.scene.sequence_labels, luma_weight=SURE_LUMA)
     state = fusion.fuse(scene, state.config)
     return _with_camera_at_rest(_with_merged_submaps(state, fusion), fusion)
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.segmentation.moving_body import LOST_FRAMES
-from threedvc.encoder.segmentation.sequence_labels import Division
+from threedvc.encoder.segmentation.moving_body import MAX_LOST_FRAMES
+from threedvc.encoder.segmentation.sequence_labels import SequenceLabels
 from threedvc.encoder.tracking.frame_resolutions import ObjectView
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.track_state import SUBMAP_SPACING_CELLS
@@ -41,7 +41,12 @@ class ObjectPlacement:
     """
 
     def __init__(
-        self, objects: Mapping[int, SceneObject], rigs: Sequence[CameraRig], labels: Division | None, *, alone: bool
+        self,
+        objects: Mapping[int, SceneObject],
+        rigs: Sequence[CameraRig],
+        labels: SequenceLabels | None,
+        *,
+        alone: bool,
     ) -> None:
         self._objects, self._rigs, self._labels, self._alone = objects, rigs, labels, alone
 
@@ -71,12 +76,12 @@ class ObjectPlacement:
             return at
         return TrackedPose(T_camera_object=motion @ item.poses[-1], status=PoseStatus.UNSEEN)
 
-    def _found_by_motion(self, labels: Division, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose:
+    def _found_by_motion(self, labels: SequenceLabels, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose:
         """Place an object found by its motion: out of sight it stays in the background where it was, or is gone."""
         frame = views[0].views.frame
         at = self._registered_again(labels, item, views) if labels.is_seen(item.number, frame) else None
         gone = labels.is_gone(item.number, frame)
-        if at is not None and not at.usable and frame.index - item.last_seen > LOST_FRAMES:
+        if at is not None and not at.usable and frame.index - item.last_seen > MAX_LOST_FRAMES:
             at, gone = None, True  # better nothing than what may be elsewhere, or something else
         if at is not None:
             return at
@@ -85,10 +90,12 @@ class ObjectPlacement:
             T_camera_object = make_pose(T_camera_object[:3, :3], np.array([0.0, 0.0, -AWAY_M]))
         return TrackedPose(T_camera_object=T_camera_object, status=PoseStatus.UNSEEN)
 
-    def _registered_again(self, labels: Division, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose | None:
+    def _registered_again(
+        self, labels: SequenceLabels, item: SceneObject, views: Sequence[ObjectView]
+    ) -> TrackedPose | None:
         """Register an object, from where its labels say that it went if it was out of sight."""
         if item.out_of_sight and item.tracker is not None:
-            motion = labels.way(item.number, item.last_seen, views[0].views.frame.index)
+            motion = labels.displacement(item.number, item.last_seen, views[0].views.frame.index)
             last = item.poses[item.last_seen]
             item.tracker.resume(last if motion is None else motion @ last)
         return item.locate(views, self._rigs, self._alone)
@@ -97,13 +104,13 @@ class ObjectPlacement:
         last, world = item.poses[-1], self._objects[0].poses
         return last if np.array_equal(world[-1], world[-2]) else world[-1] @ inverse(world[-2]) @ last
 
-    def _transient(self, labels: Division, item: SceneObject, frame: Frame) -> TrackedPose:
+    def _transient(self, labels: SequenceLabels, item: SceneObject, frame: Frame) -> TrackedPose:
         """Place what is there for a moment, apart from what had its number before; away where there is nothing."""
-        at = labels.passing(item.number, frame)
+        at = labels.transient(item.number, frame)
         if at is None:
             away = self.away_before(frame.index + 1)[-1] if self._objects[0].poses else AWAY
             return TrackedPose(T_camera_object=away, status=PoseStatus.UNSEEN)
-        apart = np.array([0.0, -at.life * SUBMAP_SPACING_CELLS * item.evidence.voxel_size_m, 0.0])
+        apart = np.array([0.0, -at.segment * SUBMAP_SPACING_CELLS * item.evidence.voxel_size_m, 0.0])
         return TrackedPose(T_camera_object=at.T_camera_object @ make_pose(np.eye(3), apart), status=PoseStatus.TRACKED)
 
     def _background_motion(self, frame: int) -> Pose | None:

@@ -19,7 +19,8 @@ from threedvc.encoder.reconstruction.object_placement import ObjectPlacement
 from threedvc.encoder.reconstruction.pose_freedom import hardly_moves
 from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject
 from threedvc.encoder.segmentation.masks import resolved_mode, segment
-from threedvc.encoder.segmentation.sequence_labels import NOTHING, PASSING_NUMBERS, Division
+from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
+from threedvc.encoder.segmentation.transient_numbers import TRANSIENT_NUMBERS
 from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
 from threedvc.encoder.tracking.given_poses import motion_of
 from threedvc.encoder.tracking.initial_poses import predict
@@ -48,7 +49,7 @@ class Scene:
         Choices.
     poses
         Where every object is in every frame, from an earlier pass; None: find out.
-    division
+    sequence_labels
         Labels of the frames where these are divided by motion; None: find them as the frames come.
     luma_weight
         Weight of luma against depth where objects are tracked, no more than 1 for others than the background.
@@ -69,7 +70,7 @@ class Scene:
         info: SequenceInfo,
         config: EncoderConfig,
         poses: Mapping[int, Sequence[TrackedPose | None]] | None = None,
-        division: Division | None = None,
+        sequence_labels: SequenceLabels | None = None,
         *,
         luma_weight: float = 1.0,
     ) -> None:
@@ -82,11 +83,13 @@ class Scene:
                 "--segment motion divides the frames of one sensor; give masks or --segment depth:NEAR..FAR, or encode "
                 "the sensors apart"
             )
-        self.division = Division(info, config) if division is None and by_motion else division
+        self.sequence_labels = (
+            SequenceLabels(info, config) if sequence_labels is None and by_motion else sequence_labels
+        )
         self.objects: dict[int, SceneObject] = {}
         self._intake = FrameIntake(info, config)
         self._cells = CellSizes(info, config)
-        self._placement = ObjectPlacement(self.objects, info.rigs, self.division, alone=self._one_object)
+        self._placement = ObjectPlacement(self.objects, info.rigs, self.sequence_labels, alone=self._one_object)
 
     @property
     def records(self) -> list[FrameRecord]:
@@ -144,7 +147,7 @@ class Scene:
     def _numbers_in(self, frames: Sequence[PreparedFrame]) -> list[int]:
         """Return the objects there are so far or in these frames, the background first."""
         numbers = {0, *self.objects}.union(*(np.unique(frame.labels).tolist() for frame in frames))
-        return sorted(numbers - {NOTHING} if self.division else numbers)
+        return sorted(numbers - {VOID_LABEL} if self.sequence_labels else numbers)
 
     def _placed(self, item: SceneObject, views: Sequence[ObjectView]) -> TrackedPose | None:
         if self._poses is not None:
@@ -153,7 +156,7 @@ class Scene:
 
     def _record(self, item: SceneObject, frame: int, at: TrackedPose | None) -> None:
         item.record(frame, at)
-        if self.division is not None and item.number and item.born == frame:
+        if self.sequence_labels is not None and item.number and item.born == frame:
             # Before, it was not there, or was taken for the background.
             item.poses[:-1] = self._placement.away_before(frame)
 
@@ -172,8 +175,8 @@ class Scene:
 
     def labels(self, frame: Frame) -> NDArray[np.uint8]:
         """Return the objects' numbers (h, w) at the pixels of a frame's depth picture."""
-        if self.division is not None:
-            return self.division.labels(frame)
+        if self.sequence_labels is not None:
+            return self.sequence_labels.labels(frame)
         by_masks = resolved_mode(self.config.segmentation, self.info) is SegmentationMode.MASKS
         if by_masks and frame.mask is None and self.objects:
             return self._predicted_labels(frame)
@@ -228,7 +231,7 @@ class Scene:
             return item
         if number and max(shown) < MIN_PIXELS:
             return None
-        transient = self.division is not None and number in PASSING_NUMBERS
+        transient = self.sequence_labels is not None and number in TRANSIENT_NUMBERS
         item = SceneObject(
             number,
             self._cells.size_for(number, *best, tracked=tracked, transient=transient),
@@ -252,7 +255,7 @@ class Scene:
 
     def _is_tracked(self, number: int) -> bool:
         """Objects found by their motion bear no relation to the poses that the input may have."""
-        by_motion = number > 0 and self.division is not None
+        by_motion = number > 0 and self.sequence_labels is not None
         return by_motion or motion_of(number, self.info, self.config.motion) is Motion.TRACK
 
     def _stands_still(self, number: int) -> bool:
@@ -260,5 +263,5 @@ class Scene:
 
         That of a depth threshold does by definition.
         """
-        rests = self._one_object or (self.division is not None and self.division.camera_rests)
+        rests = self._one_object or (self.sequence_labels is not None and self.sequence_labels.camera_rests)
         return number == 0 and rests and not self.info.has_camera_poses

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Division of a frame into objects, before anything is known about their motion.
+"""Segmentation of a frame by what comes with it, before anything is known about motion: by masks, or by depth.
 
-The result is a label picture in the depth camera: 0 is the background object, every other label a
-rigid object. Mixed pixels at the borders of objects, whose colour belongs to both sides, can be found
-with `without_borders`.
+The result is a label picture in the depth camera: 0 is the background object, every other label a rigid object.
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,9 +13,10 @@ from threedvc.config import SegmentationConfig, SegmentationMode
 from threedvc.errors import SequenceError
 from threedvc.frames.frame import Frame, SequenceInfo
 
-__all__ = ["resolved_mode", "segment", "without_borders"]
+__all__ = ["resolved_mode", "segment"]
 
 OBJECT_LABEL = 1
+"""Label of the one object that a range of depth tells from the background, 0."""
 
 
 def resolved_mode(config: SegmentationConfig, info: SequenceInfo) -> SegmentationMode:
@@ -73,25 +71,3 @@ def _mask_labels(frame: Frame, info: SequenceInfo) -> NDArray[np.uint8]:
 
 def _size(picture: NDArray[np.generic]) -> str:
     return f"{picture.shape[1]}x{picture.shape[0]}"
-
-
-def without_borders(labels: NDArray[np.uint8], pixels: int = 1) -> NDArray[np.bool_]:
-    """Tell which pixels lie farther than `pixels` from every pixel with another label.
-
-    The edge of the picture is no border.
-
-    Parameters
-    ----------
-    labels
-        (h, w) uint8.
-    pixels
-        Width of the border on each side; 0 keeps all pixels.
-
-    Returns
-    -------
-    numpy.ndarray
-        (h, w) bool.
-    """
-    window = np.ones((2 * pixels + 1, 2 * pixels + 1), dtype=np.uint8)
-    inner: NDArray[np.bool_] = cv2.erode(labels, window) == cv2.dilate(labels, window)
-    return inner
