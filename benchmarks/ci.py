@@ -38,8 +38,8 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.model_updates import first_sights
 from threedvc.encoder.rate.trial_coding import color_settings
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.frame_resolutions import Downsampled
-from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.registration.frame_resolutions import Downsampled
+from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.formats.container import StreamWriter
 from threedvc.formats.decoding import decode
 from threedvc.frames.frame import Frame

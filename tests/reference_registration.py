@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threedvc.arrays import Doubles, Floats
-from threedvc.encoder.tracking.registration import ModelView
+from threedvc.encoder.registration.registration import ModelView
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
 

@@ -14,7 +14,11 @@ from threedvc.coding.depth_picture import DepthPicture, DepthSteps, decode_depth
 from threedvc.coding.poses import PoseCoder
 from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
-from threedvc.encoder.appearance.background_depth import CodedDepthMap, averaged_inverse_depth, cheapest_depth_map
+from threedvc.encoder.appearance.background.background_depth import (
+    CodedDepthMap,
+    averaged_inverse_depth,
+    cheapest_depth_map,
+)
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector

@@ -15,7 +15,7 @@ from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, S
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.segmentation.downsampling import Downsampling
+from threedvc.encoder.segmentation.motion.downsampling import Downsampling
 from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence

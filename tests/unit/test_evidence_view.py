@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from threedvc.config import FusionConfig, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.tracking.frame_resolutions import TRACKING_PIXELS, Downsampled, FrameResolutions
-from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.registration.frame_resolutions import TRACKING_PIXELS, Downsampled, FrameResolutions
+from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera, CameraRig

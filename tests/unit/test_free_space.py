@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from threedvc.config import Sensor
-from threedvc.encoder.segmentation.free_space import DepthHistory
+from threedvc.encoder.segmentation.motion.free_space import DepthHistory
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector

@@ -14,8 +14,8 @@ from streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.segmentation.motion.transient_numbers import MAX_SEGMENT_FRAMES, TRANSIENT_NUMBERS
 from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
-from threedvc.encoder.segmentation.transient_numbers import MAX_SEGMENT_FRAMES, TRANSIENT_NUMBERS
 
 CONFIG = EncoderConfig(
     threads=2, motion=Motion.TRACK, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION), refine=False

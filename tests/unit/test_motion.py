@@ -11,7 +11,7 @@ import pytest
 from threedvc.config import FusionConfig, Motion, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.tracking.frame_resolutions import Downsampled, FrameResolutions, ObjectView
+from threedvc.encoder.registration.frame_resolutions import Downsampled, FrameResolutions, ObjectView
 from threedvc.encoder.tracking.given_poses import known_pose, motion_of
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import reference_registration as reference
 from reference_registration import ROOM, WALL, Box, Planes, Sphere, draw
-from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.initial_poses import initial_poses, pose_from_features, predict, register_multi_start
-from threedvc.encoder.tracking.registration import (
+from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.initial_poses import initial_poses, pose_from_features, predict, register_multi_start
+from threedvc.encoder.registration.registration import (
     DepthSample,
     ModelView,
     Registration,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from threedvc.arrays import Doubles, Floats
-from threedvc.encoder.appearance.robust_mean import Observations, robust_mean
+from threedvc.encoder.appearance.background.robust_mean import Observations, robust_mean
 
 
 def mean_of(values: list[list[float]], weights: list[list[float]], outlier: float) -> tuple[Doubles, Doubles]:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.encoder.appearance.background_depth import CodedDepthMap
+from threedvc.encoder.appearance.background.background_depth import CodedDepthMap
+from threedvc.encoder.appearance.background.background_image import BackgroundImageCandidates
 from threedvc.encoder.appearance.background_fit import background_depth_map, background_image
-from threedvc.encoder.appearance.background_image import BackgroundImageCandidates
 from threedvc.encoder.appearance.color_field import ColorField
 from threedvc.encoder.appearance.color_fit import FINAL_FITS, fit_colors, log_color_error, steady_gains
 from threedvc.encoder.appearance.fit_state import FitState

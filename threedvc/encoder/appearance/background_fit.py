@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 from threedvc.arrays import Floats
 from threedvc.coding.gains import apply_gain
 from threedvc.config import ColorConfig
-from threedvc.encoder.appearance.background_depth import CodedDepthMap, averaged_inverse_depth, cheapest_depth_map
-from threedvc.encoder.appearance.background_image import BackgroundImageCandidates, averaged_background
+from threedvc.encoder.appearance.background.background_depth import (
+    CodedDepthMap,
+    averaged_inverse_depth,
+    cheapest_depth_map,
+)
+from threedvc.encoder.appearance.background.background_image import BackgroundImageCandidates, averaged_background
 from threedvc.encoder.appearance.fit_state import FitState
 from threedvc.encoder.appearance.rate_distortion import weighed_misfit
 from threedvc.encoder.rate.trial_coding import coded_size, color_settings

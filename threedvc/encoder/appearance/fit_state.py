@@ -18,7 +18,7 @@ from threedvc.encoder.appearance.samples import FrameSamples, Sampler, rays_at
 from threedvc.encoder.fusion.surface_extraction import Surface, read_surface
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.tracking.frame_resolutions import Downsampled
+from threedvc.encoder.registration.frame_resolutions import Downsampled
 from threedvc.encoder.tracking.pose_track import PoseTracks
 from threedvc.frames.frame import Frame
 from threedvc.frames.sequence import FrameSequence, spread_step

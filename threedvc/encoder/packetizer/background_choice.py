@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threedvc.coding.picture import can_encode_pictures
 from threedvc.config import EncoderConfig, RenderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
-from threedvc.encoder.appearance.background_depth import CodedDepthMap
+from threedvc.encoder.appearance.background.background_depth import CodedDepthMap
 from threedvc.encoder.fusion.surface_extraction import Surface
 from threedvc.encoder.rate.region_of_interest import object_weight, with_steps_scaled
 from threedvc.encoder.rate.trial_coding import coded_size, color_settings

@@ -14,7 +14,7 @@ from threedvc.coding.texture import encode_texture
 from threedvc.coding.update import encode_update_with_result
 from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
-from threedvc.encoder.appearance.background_depth import RELIEF_BITS
+from threedvc.encoder.appearance.background.background_depth import RELIEF_BITS
 from threedvc.encoder.appearance.lighting import light_at
 from threedvc.encoder.fusion.surface_extraction import Surface, grouped_by_region, read_surface
 from threedvc.encoder.packetizer.background_choice import BackgroundChoice

@@ -28,9 +28,9 @@ from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
 from threedvc.encoder.reconstruction.loop_closure import closed_loops
 from threedvc.encoder.reconstruction.pose_refinement import refined_script
 from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.encoder.registration.registration import RegistrationConfig
 from threedvc.encoder.segmentation.sequence_labels import MAX_LOST_SHARE, SequenceLabels
 from threedvc.encoder.tracking.pose_track import interpolate_blind_frames, merge_submaps
-from threedvc.encoder.tracking.registration import RegistrationConfig
 from threedvc.encoder.tracking.trajectory_smoothing import smooth_to_depth
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.frames.frame import SequenceInfo

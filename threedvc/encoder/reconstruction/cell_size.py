@@ -11,7 +11,7 @@ from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig
 from threedvc.encoder.rate.rate_control import live_cell_factor
 from threedvc.encoder.reconstruction.frame_intake import SETTLED_SHARE
 from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import CameraRig
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threedvc.config import Sensor
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.model_view import predicted_and_measured_depth
+from threedvc.encoder.registration.model_view import predicted_and_measured_depth
 from threedvc.frames.sequence import FrameSequence, spread_step
 from threedvc.metrics.depth_errors import mean_misfit
 

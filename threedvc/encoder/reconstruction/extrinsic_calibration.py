@@ -18,11 +18,11 @@ from threedvc.arrays import Doubles
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
-from threedvc.encoder.tracking.initial_poses import register_multi_start
-from threedvc.encoder.tracking.model_view import raycast_model
-from threedvc.encoder.tracking.registration import RegistrationConfig, RegistrationProblem
+from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.initial_poses import register_multi_start
+from threedvc.encoder.registration.model_view import raycast_model
+from threedvc.encoder.registration.registration import RegistrationConfig, RegistrationProblem
 from threedvc.frames.frame import SequenceInfo
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, compose, exp_motion, inverse, log_motion, orthonormalised

@@ -15,8 +15,8 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.exposure import camera_gain, with_gain
 from threedvc.encoder.fusion.integration import Observation, observe
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
-from threedvc.encoder.tracking.frame_resolutions import Downsampled, FrameResolutions
-from threedvc.encoder.tracking.model_view import predicted_and_measured_depth
+from threedvc.encoder.registration.frame_resolutions import Downsampled, FrameResolutions
+from threedvc.encoder.registration.model_view import predicted_and_measured_depth
 from threedvc.frames.frame import Frame, SequenceInfo, check_frame
 from threedvc.frames.sensor_model import SENSORS, SensorModel, chosen_sensor, within
 from threedvc.geometry.pose import Pose

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.frame_resolutions import Downsampled
-from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.registration.frame_resolutions import Downsampled
+from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.pose import Pose
 

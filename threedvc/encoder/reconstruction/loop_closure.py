@@ -17,17 +17,17 @@ import numpy as np
 
 from threedvc.encoder.reconstruction.pose_graph import Link, optimised
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
-from threedvc.encoder.tracking.initial_poses import register_multi_start
-from threedvc.encoder.tracking.pose_track import TrackedPose
-from threedvc.encoder.tracking.registration import (
+from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.registration.initial_poses import register_multi_start
+from threedvc.encoder.registration.registration import (
     DepthSample,
     ModelView,
     RegistrationConfig,
     RegistrationProblem,
     view_of_frame,
 )
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, compose, identity, interpolated, inverse, rotation_angle
 from threedvc.stream.pose_status import PoseStatus

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.segmentation.moving_body import MAX_LOST_FRAMES
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.segmentation.motion.moving_body import MAX_LOST_FRAMES
 from threedvc.encoder.segmentation.sequence_labels import SequenceLabels
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.track_state import SUBMAP_SPACING_CELLS
 from threedvc.frames.frame import Frame

@@ -15,10 +15,10 @@ import numpy as np
 
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.registration import RegistrationConfig
 from threedvc.encoder.tracking.joint_registration import RegistrationSettings, relocalise_near, reregister
 from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, pose_between
-from threedvc.encoder.tracking.registration import RegistrationConfig
 from threedvc.frames.sequence import FrameSequence, moments
 from threedvc.stream.pose_status import PoseStatus
 

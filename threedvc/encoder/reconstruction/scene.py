@@ -18,12 +18,12 @@ from threedvc.encoder.reconstruction.label_prediction import predicted_labels
 from threedvc.encoder.reconstruction.object_placement import ObjectPlacement
 from threedvc.encoder.reconstruction.pose_freedom import hardly_moves
 from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.registration.initial_poses import predict
 from threedvc.encoder.segmentation.masks import resolved_mode, segment
+from threedvc.encoder.segmentation.motion.transient_numbers import TRANSIENT_NUMBERS
 from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
-from threedvc.encoder.segmentation.transient_numbers import TRANSIENT_NUMBERS
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
 from threedvc.encoder.tracking.given_poses import motion_of
-from threedvc.encoder.tracking.initial_poses import predict
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.errors import ConfigError

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import EntropyMeter
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.registration.frame_resolutions import ObjectView
 from threedvc.encoder.tracking.given_poses import known_pose
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker

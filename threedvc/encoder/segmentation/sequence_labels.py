@@ -11,14 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.config import EncoderConfig
-from threedvc.encoder.segmentation.backward_search import find_among, visible_pixels
-from threedvc.encoder.segmentation.downsampling import Downsampling
-from threedvc.encoder.segmentation.motion_segmenter import MIN_CERTAIN_TRANSIENCE, TRANSIENT_LABEL, MotionSegmenter
-from threedvc.encoder.segmentation.moving_body import MotionHypothesis
-from threedvc.encoder.segmentation.object_evidence import is_object
+from threedvc.encoder.segmentation.motion.backward_search import find_among, visible_pixels
+from threedvc.encoder.segmentation.motion.downsampling import Downsampling
+from threedvc.encoder.segmentation.motion.motion_segmenter import (
+    MIN_CERTAIN_TRANSIENCE,
+    TRANSIENT_LABEL,
+    MotionSegmenter,
+)
+from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
+from threedvc.encoder.segmentation.motion.object_evidence import is_object
+from threedvc.encoder.segmentation.motion.segmenter_state import SegmenterState
+from threedvc.encoder.segmentation.motion.transient_numbers import TRANSIENT_NUMBERS, TransientNumbers
 from threedvc.encoder.segmentation.packed_picture import PackedPicture, packed
-from threedvc.encoder.segmentation.segmenter_state import SegmenterState
-from threedvc.encoder.segmentation.transient_numbers import TRANSIENT_NUMBERS, TransientNumbers
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import chosen_sensor
 from threedvc.frames.sequence import FrameSequence

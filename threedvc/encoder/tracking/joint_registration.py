@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
-from threedvc.encoder.tracking.initial_poses import register_multi_start
-from threedvc.encoder.tracking.model_view import raycast_model
-from threedvc.encoder.tracking.pose_fusion import PoseEstimate, fused_pose
-from threedvc.encoder.tracking.pose_track import TrackedPose
-from threedvc.encoder.tracking.registration import (
+from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.initial_poses import register_multi_start
+from threedvc.encoder.registration.model_view import raycast_model
+from threedvc.encoder.registration.registration import (
     ModelView,
     Registration,
     RegistrationConfig,
@@ -23,6 +21,8 @@ from threedvc.encoder.tracking.registration import (
     is_stationary,
     register,
 )
+from threedvc.encoder.tracking.pose_fusion import PoseEstimate, fused_pose
+from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, rotation_angle

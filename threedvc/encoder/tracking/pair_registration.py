@@ -7,8 +7,8 @@ import numpy as np
 
 from threedvc.arrays import Doubles, Mask
 from threedvc.config import Sensor
-from threedvc.encoder.tracking.frame_resolutions import Downsampled
-from threedvc.encoder.tracking.registration import (
+from threedvc.encoder.registration.frame_resolutions import Downsampled
+from threedvc.encoder.registration.registration import (
     DepthSample,
     RegistrationConfig,
     RegistrationProblem,

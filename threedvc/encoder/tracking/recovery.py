@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.model_view import predicted_and_measured_depth, raycast_model
+from threedvc.encoder.registration.registration import ModelView, Registration, register
 from threedvc.encoder.tracking.joint_registration import RegistrationSettings
-from threedvc.encoder.tracking.model_view import predicted_and_measured_depth, raycast_model
 from threedvc.encoder.tracking.pose_track import TrackedPose
-from threedvc.encoder.tracking.registration import ModelView, Registration, register
 from threedvc.encoder.tracking.track_state import TrackState
 from threedvc.frames.frame import Frame
 from threedvc.stream.pose_status import PoseStatus

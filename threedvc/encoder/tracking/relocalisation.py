@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from threedvc.arrays import Doubles, Mask
-from threedvc.encoder.tracking.feature_matching import Descriptors, detect_features, match_features
+from threedvc.encoder.registration.feature_matching import Descriptors, detect_features, match_features
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector

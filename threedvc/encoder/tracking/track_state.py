@@ -10,11 +10,11 @@ import numpy as np
 
 from threedvc.arrays import Floats
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
-from threedvc.encoder.tracking.initial_poses import predict
-from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.initial_poses import predict
+from threedvc.encoder.registration.model_view import raycast_model
+from threedvc.encoder.registration.registration_types import ModelView
 from threedvc.encoder.tracking.pose_track import SubmapLink
-from threedvc.encoder.tracking.registration_types import ModelView
 from threedvc.encoder.tracking.relocalisation import Keyframes
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, interpolated, inverse, make_pose, orthonormalised

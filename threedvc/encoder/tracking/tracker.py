@@ -10,13 +10,19 @@ import numpy as np
 
 from threedvc.arrays import Doubles
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.registration.initial_poses import register_multi_start
+from threedvc.encoder.registration.registration import (
+    ModelView,
+    Registration,
+    RegistrationConfig,
+    is_stationary,
+    register,
+)
+from threedvc.encoder.registration.registration_types import camera_rays
 from threedvc.encoder.tracking import recovery
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
-from threedvc.encoder.tracking.initial_poses import register_multi_start
 from threedvc.encoder.tracking.joint_registration import RegistrationSettings, SensorRegistration, joint_registration
 from threedvc.encoder.tracking.pose_track import SubmapLink, TrackedPose
-from threedvc.encoder.tracking.registration import ModelView, Registration, RegistrationConfig, is_stationary, register
-from threedvc.encoder.tracking.registration_types import camera_rays
 from threedvc.encoder.tracking.relocalisation import Keyframes
 from threedvc.encoder.tracking.stopwatch import Stopwatch
 from threedvc.encoder.tracking.track_state import TrackState

@@ -9,7 +9,7 @@ import numpy as np
 
 from threedvc.arrays import Doubles
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.initial_poses import predict
+from threedvc.encoder.registration.initial_poses import predict
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.geometry.pose import Pose, inverse

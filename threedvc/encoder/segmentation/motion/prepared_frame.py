@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from threedvc.arrays import Floats, Labels, Mask
 from threedvc.encoder.fusion.integration import Observation, observe
-from threedvc.encoder.segmentation.morphology import closed, grown, opened
-from threedvc.encoder.segmentation.moving_body import MotionHypothesis
-from threedvc.encoder.segmentation.segmenter_state import SegmenterState
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions
+from threedvc.encoder.segmentation.motion.morphology import closed, grown, opened
+from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
+from threedvc.encoder.segmentation.motion.segmenter_state import SegmenterState
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose
 from threedvc.kernels.encoder.free_space import connect_surfaces

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.frame_samples import MAX_JUMP, normal_reach
-from threedvc.encoder.tracking.registration_types import (
+from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.frame_samples import MAX_JUMP, normal_reach
+from threedvc.encoder.registration.registration_types import (
     DepthSample,
     ModelView,
     Registration,

@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 
 from threedvc.arrays import Doubles, Mask
-from threedvc.encoder.segmentation.association import depth_residual
-from threedvc.encoder.segmentation.moving_body import COLOR_LEVELS, MotionHypothesis
-from threedvc.encoder.segmentation.object_evidence import is_object
-from threedvc.encoder.segmentation.prepared_frame import (
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.segmentation.motion.association import depth_residual
+from threedvc.encoder.segmentation.motion.moving_body import COLOR_LEVELS, MotionHypothesis
+from threedvc.encoder.segmentation.motion.object_evidence import is_object
+from threedvc.encoder.segmentation.motion.prepared_frame import (
     AGREEMENT,
     FINE_GATE,
     MIN_PIXELS,
@@ -17,9 +18,8 @@ from threedvc.encoder.segmentation.prepared_frame import (
     PreparedFrame,
     connected_surfaces,
 )
-from threedvc.encoder.segmentation.reference_frames import NEAR_OFFSETS
-from threedvc.encoder.segmentation.segmenter_state import SegmenterState, cell_size
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.segmentation.motion.reference_frames import NEAR_OFFSETS
+from threedvc.encoder.segmentation.motion.segmenter_state import SegmenterState, cell_size
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_angle

@@ -15,9 +15,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from threedvc.arrays import Doubles, Floats, Mask
-from threedvc.encoder.tracking.alignment import Alignment
-from threedvc.encoder.tracking.feature_matching import Descriptors, detect_features, match_features
-from threedvc.encoder.tracking.registration_types import (
+from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.feature_matching import Descriptors, detect_features, match_features
+from threedvc.encoder.registration.registration_types import (
     DepthSample,
     ModelView,
     Registration,
@@ -55,8 +55,8 @@ def predict(T_before: Pose, T_previous: Pose) -> Pose:
 def register_multi_start(problem: RegistrationProblem, T_guess: Pose) -> Registration:
     """Register a frame from a guess and, if that does not fit, from other poses.
 
-    Parameters are those of `threedvc.encoder.tracking.registration.register`. A result from another start replaces the
-    first only if it is tracked and agrees better.
+    Parameters are those of `threedvc.encoder.registration.registration.register`. A result from another start replaces
+    the first only if it is tracked and agrees better.
     """
     alignment = Alignment(problem)
     first = alignment.solve_near(T_guess)

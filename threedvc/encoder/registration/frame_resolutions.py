@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Floats, Mask
-from threedvc.encoder.tracking.registration_types import DepthSample
+from threedvc.encoder.registration.registration_types import DepthSample
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.render.ray_grid import RayGrid

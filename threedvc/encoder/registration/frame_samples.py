@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from threedvc.arrays import Doubles, Floats
-from threedvc.encoder.tracking.registration_types import DepthSample, RegistrationConfig, Sigma, camera_rays
+from threedvc.encoder.registration.registration_types import DepthSample, RegistrationConfig, Sigma, camera_rays
 from threedvc.geometry.camera import Camera
 from threedvc.kernels.encoder import registration as kernels
 

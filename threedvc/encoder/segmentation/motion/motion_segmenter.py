@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Segmentation of frames into rigid bodies by their motion: no masks and no poses are given.
 
-What some frame saw through and another one saw moved in between (`threedvc.encoder.segmentation.free_space`). Connected
-surfaces of such pixels become bodies; each body has a model of its own and is registered in every frame. A pixel that
-moves belongs to the body whose model shows its depth; else to one that it is connected with, unless it would have been
-in the way of what frames saw, had it moved with that body; else to a new one. Bodies are kept as objects that moved as
-one and far enough; the labels of others go back to the background, or are void where hardly any frame saw them at
-rest.
+What some frame saw through and another one saw moved in between (`threedvc.encoder.segmentation.motion.free_space`).
+Connected surfaces of such pixels become bodies; each body has a model of its own and is registered in every frame. A
+pixel that moves belongs to the body whose model shows its depth; else to one that it is connected with, unless it would
+have been in the way of what frames saw, had it moved with that body; else to a new one. Bodies are kept as objects that
+moved as one and far enough; the labels of others go back to the background, or are void where hardly any frame saw them
+at rest.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 from threedvc.arrays import Labels, Mask
 from threedvc.config import EncoderConfig, Motion
 from threedvc.encoder.fusion.integration import fuse
-from threedvc.encoder.segmentation.association import label_followed, label_remnants, locate_followed
-from threedvc.encoder.segmentation.body_identity import (
+from threedvc.encoder.segmentation.motion.association import label_followed, label_remnants, locate_followed
+from threedvc.encoder.segmentation.motion.body_identity import (
     color_histogram,
     label_new_bodies,
     merge_moving_together,
     recognise_lost,
 )
-from threedvc.encoder.segmentation.camera_pass import CameraPass
-from threedvc.encoder.segmentation.downsampling import Downsampling
-from threedvc.encoder.segmentation.object_evidence import is_object
-from threedvc.encoder.segmentation.prepared_frame import FINE_GATE, MIN_PIXELS, PreparedFrame, prepared_frame
-from threedvc.encoder.segmentation.segmenter_state import FUSION, SegmenterState
+from threedvc.encoder.segmentation.motion.camera_pass import CameraPass
+from threedvc.encoder.segmentation.motion.downsampling import Downsampling
+from threedvc.encoder.segmentation.motion.object_evidence import is_object
+from threedvc.encoder.segmentation.motion.prepared_frame import FINE_GATE, MIN_PIXELS, PreparedFrame, prepared_frame
+from threedvc.encoder.segmentation.motion.segmenter_state import FUSION, SegmenterState
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.pose import inverse

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threedvc.arrays import Doubles
-from threedvc.encoder.tracking.associations import TUKEY_BOUND, Associations, measure_associations, median_of_known
-from threedvc.encoder.tracking.frame_samples import level_samples, luma_levels, sample_surface
-from threedvc.encoder.tracking.registration_types import (
+from threedvc.encoder.registration.associations import TUKEY_BOUND, Associations, measure_associations, median_of_known
+from threedvc.encoder.registration.frame_samples import level_samples, luma_levels, sample_surface
+from threedvc.encoder.registration.registration_types import (
     Registration,
     RegistrationConfig,
     RegistrationProblem,
@@ -75,7 +75,7 @@ class _Step:
 class Alignment:
     """One frame against one view: the samples and luma pictures of every level.
 
-    `threedvc.encoder.tracking.registration.register` is the usual way in; keep an alignment to try many poses.
+    `threedvc.encoder.registration.registration.register` is the usual way in; keep an alignment to try many poses.
     """
 
     def __init__(self, problem: RegistrationProblem) -> None:

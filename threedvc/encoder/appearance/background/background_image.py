@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.coding.picture import decode_picture, encode_picture
 from threedvc.config import RenderConfig
+from threedvc.encoder.appearance.background.robust_mean import Observations, robust_mean
 from threedvc.encoder.appearance.color_field import ColorField
-from threedvc.encoder.appearance.robust_mean import Observations, robust_mean
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose

@@ -9,12 +9,12 @@ import numpy as np
 
 from threedvc.arrays import Floats, Mask
 from threedvc.config import EncoderConfig, FusionConfig
-from threedvc.encoder.segmentation.downsampling import Downsampling
-from threedvc.encoder.segmentation.free_space import DepthHistory
-from threedvc.encoder.segmentation.moving_body import MotionHypothesis
-from threedvc.encoder.segmentation.reference_frames import ReferenceFrames
-from threedvc.encoder.tracking.frame_resolutions import Downsampled
-from threedvc.encoder.tracking.model_view import raycast_model
+from threedvc.encoder.registration.frame_resolutions import Downsampled
+from threedvc.encoder.registration.model_view import raycast_model
+from threedvc.encoder.segmentation.motion.downsampling import Downsampling
+from threedvc.encoder.segmentation.motion.free_space import DepthHistory
+from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
+from threedvc.encoder.segmentation.motion.reference_frames import ReferenceFrames
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sensor_model import SensorModel, within
 from threedvc.geometry.camera import CameraRig

@@ -10,12 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Floats, Labels, Mask
-from threedvc.encoder.segmentation.morphology import opened, square
-from threedvc.encoder.segmentation.moving_body import MAX_LOST_FRAMES, MotionHypothesis
-from threedvc.encoder.segmentation.object_evidence import is_object
-from threedvc.encoder.segmentation.prepared_frame import COARSE_GATE, FINE_GATE, MIN_PIXELS, MIN_VOTES, PreparedFrame
-from threedvc.encoder.segmentation.segmenter_state import SegmenterState
-from threedvc.encoder.tracking.frame_resolutions import ObjectView
+from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.segmentation.motion.morphology import opened, square
+from threedvc.encoder.segmentation.motion.moving_body import MAX_LOST_FRAMES, MotionHypothesis
+from threedvc.encoder.segmentation.motion.object_evidence import is_object
+from threedvc.encoder.segmentation.motion.prepared_frame import (
+    COARSE_GATE,
+    FINE_GATE,
+    MIN_PIXELS,
+    MIN_VOTES,
+    PreparedFrame,
+)
+from threedvc.encoder.segmentation.motion.segmenter_state import SegmenterState
 
 __all__ = ["depth_residual", "label_followed", "label_remnants", "locate_followed"]
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from threedvc.arrays import Mask
-from threedvc.encoder.segmentation.moving_body import MotionHypothesis
-from threedvc.encoder.segmentation.prepared_frame import AGREEMENT, FINE_GATE, GATE_SIGMAS, MIN_PIXELS
-from threedvc.encoder.segmentation.segmenter_state import SegmenterState
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
+from threedvc.encoder.segmentation.motion.prepared_frame import AGREEMENT, FINE_GATE, GATE_SIGMAS, MIN_PIXELS
+from threedvc.encoder.segmentation.motion.segmenter_state import SegmenterState
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.stream.pose_status import PoseStatus

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threedvc.encoder.segmentation.motion_segmenter import MIN_CERTAIN_TRANSIENCE
-from threedvc.encoder.segmentation.moving_body import MotionHypothesis
+from threedvc.encoder.segmentation.motion.motion_segmenter import MIN_CERTAIN_TRANSIENCE
+from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
 from threedvc.geometry.camera import Camera
 
 __all__ = ["MAX_SEGMENT_FRAMES", "TRANSIENT_NUMBERS", "TransientNumbers", "TransientSegment"]

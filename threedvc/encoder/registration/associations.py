@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles, Mask
-from threedvc.encoder.tracking.frame_samples import Samples
-from threedvc.encoder.tracking.registration_types import RegistrationConfig
+from threedvc.encoder.registration.frame_samples import Samples
+from threedvc.encoder.registration.registration_types import RegistrationConfig
 from threedvc.kernels.encoder import registration as kernels
 
 __all__ = ["TUKEY_BOUND", "Associations", "measure_associations", "median_of_known"]

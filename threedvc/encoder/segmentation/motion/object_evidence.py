@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.encoder.segmentation.moving_body import MotionHypothesis
-from threedvc.encoder.segmentation.segmenter_state import SegmenterState
+from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
+from threedvc.encoder.segmentation.motion.segmenter_state import SegmenterState
 from threedvc.geometry.pose import inverse, rotation_angle
 
 __all__ = ["displacement_m", "is_object"]

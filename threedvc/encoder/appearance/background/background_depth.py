@@ -24,7 +24,7 @@ from threedvc.coding.depth_picture import (
     encode_depths,
     grid_shape,
 )
-from threedvc.encoder.appearance.robust_mean import Observations, robust_mean
+from threedvc.encoder.appearance.background.robust_mean import Observations, robust_mean
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
 from threedvc.model.decoded_model import DecodedModel

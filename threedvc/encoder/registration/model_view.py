@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from threedvc.arrays import Floats, Mask
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.tracking.frame_resolutions import Downsampled, FrameResolutions, ObjectView
-from threedvc.encoder.tracking.registration_types import ModelView
+from threedvc.encoder.registration.frame_resolutions import Downsampled, FrameResolutions, ObjectView
+from threedvc.encoder.registration.registration_types import ModelView
 from threedvc.geometry.pose import Pose
 from threedvc.kernels.encoder.raycast_evidence import cast_evidence, fill_between
 from threedvc.parallel import for_ranges

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.encoder.fusion.integration import camera_parameters
-from threedvc.encoder.segmentation.morphology import grown, square
-from threedvc.encoder.tracking.registration_types import camera_rays
+from threedvc.encoder.registration.registration_types import camera_rays
+from threedvc.encoder.segmentation.motion.morphology import grown, square
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse

@@ -8,10 +8,10 @@ import numpy as np
 from threedvc.arrays import Floats, Mask
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.segmentation.morphology import grown, opened
-from threedvc.encoder.segmentation.reference_frames import NEAR_OFFSETS
-from threedvc.encoder.segmentation.segmenter_state import FUSION, SegmenterState, cell_size
-from threedvc.encoder.tracking.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.segmentation.motion.morphology import grown, opened
+from threedvc.encoder.segmentation.motion.reference_frames import NEAR_OFFSETS
+from threedvc.encoder.segmentation.motion.segmenter_state import FUSION, SegmenterState, cell_size
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
