@@ -9,8 +9,10 @@ READY := $(VENV)/.ready
 BENCH_READY := $(VENV)/.bench-ready
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
-UNCOMPILED := $(patsubst %, tests/unit/test_%.py, block_index container_checksum decoder emitter metrics object_model \
-	ray_update report segmentation synthesis_shapes uncertainty)
+UNCOMPILED := $(patsubst %, tests/unit/%.py, model/test_block_index formats/container/test_checksum \
+	decoder/test_decoder encoder/packetizer/test_packetizer metrics/test_quality model/test_decoded_model \
+	encoder/fusion/test_ray_update stream/test_frame_report encoder/segmentation/test_segmentation \
+	synthesis/test_shapes encoder/fusion/test_model_entropy)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 import threedvc
-from streams import FRAMES, FakeStream, ListSequence, packed_stream, roaming_stream
+from helpers.streams import FRAMES, FakeStream, ListSequence, packed_stream, roaming_stream
 from threedvc.cli import explore as explore_module
 from threedvc.cli.encode import SENSORS
 from threedvc.cli.main import main

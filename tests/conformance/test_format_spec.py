@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from container_streams import DIGEST, records, stream_header, stream_of
+from helpers.container_streams import DIGEST, records, stream_header, stream_of
 from threedvc import errors, limits
 from threedvc.decoder.packet_handlers import HANDLERS
 from threedvc.formats.container import layout

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from container_streams import end, packets, raw_packet, records, small_stream, stream_header, stream_of
+from helpers.container_streams import end, packets, raw_packet, records, small_stream, stream_header, stream_of
 from threedvc.errors import FormatError, ThreedvcError, TruncatedStream
 from threedvc.formats.container import StreamReader, read_index
 from threedvc.formats.container.layout import pack_file_head

@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from container_streams import end, records, stream_header, stream_of
+from helpers.container_streams import end, records, stream_header, stream_of
 from threedvc.formats.container import IndexEntry, StreamReader
 from threedvc.formats.container.index import pack_index, unpack_index
 from threedvc.limits import MAX_COUNT, MAX_FRAME, MAX_OBJECT_ID
