@@ -127,9 +127,9 @@ def bd_rate(reference: Curve, tested: Curve) -> float | None:
     knots = np.unique([low, high, *reference.qualities, *tested.qualities])
     knots = knots[(knots >= low) & (knots <= high)]
     middles = (knots[1:] + knots[:-1]) / 2
-    ends, centres = (tested.log_rate(at) - reference.log_rate(at) for at in (knots, middles))
+    ends, centers = (tested.log_rate(at) - reference.log_rate(at) for at in (knots, middles))
     # Simpson's rule is exact: between two knots both curves are cubics.
-    area = np.sum(np.diff(knots) * (ends[:-1] + 4 * centres + ends[1:]) / 6)
+    area = np.sum(np.diff(knots) * (ends[:-1] + 4 * centers + ends[1:]) / 6)
     return 100 * float(np.expm1(area / (high - low)))
 
 

@@ -33,7 +33,7 @@ from threedvc.config import EncoderConfig, Motion, Preset, RenderConfig, with_pr
 from threedvc.decoder.replay import replay
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.model_updates import first_sights
 from threedvc.encoder.rate.trial_coding import color_settings
@@ -159,7 +159,7 @@ def _encoder_stages(sequence: SyntheticSequence, frames: Sequence[Frame]) -> dic
     rays, sensor = rig.depth.rays(), scene.sensor_of(0)
     observed = [(observe(frame, rig, rays), pose) for frame, pose in zip(frames, background.poses, strict=True)]
     everywhere, full = np.ones(frames[0].depth.shape, dtype=bool), Downsampled(rig, 1)
-    surface, settings = read_surface(background.evidence, 1), color_settings(FILE.color, sequence.info.grey)
+    surface, settings = extract_surface(background.evidence, 1), color_settings(FILE.color, sequence.info.grey)
 
     def fusion() -> None:
         evidence = EvidenceModel(VOXEL_SIZE_M)

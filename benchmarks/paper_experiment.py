@@ -21,7 +21,7 @@ import montage
 from paper_report import EARLY, OBJECT, Result, Snapshot, report
 from spheres import Spheres, View, draw, spheres_of_cells
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.formats.container import open_output
@@ -123,7 +123,7 @@ def snapshot(item: SceneObject) -> Snapshot:
     cells, positions = model.index.flagged((log_odds > LEARNED_LOG_ODDS).astype(np.uint8))
     return Snapshot(
         voxel_size_m=model.voxel_size_m,
-        sent=len(read_surface(model, default_threads()).cells),
+        sent=len(extract_surface(model, default_threads()).cells),
         cells=cells,
         probability=1 / (1 + np.exp(-log_odds.reshape(-1)[positions].astype(np.float64))),
         colors=model.color.reshape(-1, 3)[positions],

@@ -48,7 +48,7 @@ class Spheres:
         (n, 3) RGB, 0..255.
     """
 
-    centres: Floats
+    centers: Floats
     radii: Floats
     colors: Floats
 
@@ -70,7 +70,7 @@ class View:
     """
 
     axes: Floats
-    centre: Floats
+    center: Floats
     scale: float
     width: int
     height: int
@@ -78,18 +78,18 @@ class View:
     @classmethod
     def around(cls, spheres: Spheres, forward: Floats, width: int) -> View:
         """Return the view along `forward` (3,), z upwards, that the spheres fill from left to right."""
-        low = (spheres.centres - spheres.radii[:, None]).min(axis=0)
-        high = (spheres.centres + spheres.radii[:, None]).max(axis=0)
-        centre = (low + high) / 2
+        low = (spheres.centers - spheres.radii[:, None]).min(axis=0)
+        high = (spheres.centers + spheres.radii[:, None]).max(axis=0)
+        center = (low + high) / 2
         axes = _axes(forward, -UP)
-        offsets = np.abs((spheres.centres - centre) @ axes[:2].T) + spheres.radii[:, None]
+        offsets = np.abs((spheres.centers - center) @ axes[:2].T) + spheres.radii[:, None]
         half_width_m, half_height_m = MARGIN * offsets.max(axis=0)
         height = round(width * half_height_m / half_width_m)
-        return cls(axes=axes, centre=centre, scale=width / (2 * half_width_m), width=width, height=height)
+        return cls(axes=axes, center=center, scale=width / (2 * half_width_m), width=width, height=height)
 
     def place(self, points: Floats) -> Floats:
         """Return (n, 3) column and row in pixels and depth in metres of points (n, 3)."""
-        placed = (points - self.centre) @ self.axes.T
+        placed = (points - self.center) @ self.axes.T
         middle = np.array([self.width / 2, self.height / 2])
         return np.column_stack([placed[:, :2] * self.scale + middle, placed[:, 2]])
 
@@ -97,7 +97,7 @@ class View:
         """Return the points (n, 3) that the centres of pixels show at given depths."""
         right = (columns + 0.5 - self.width / 2) / self.scale
         down = (rows + 0.5 - self.height / 2) / self.scale
-        return np.asarray(np.column_stack([right, down, depth]) @ self.axes + self.centre, dtype=np.float64)
+        return np.asarray(np.column_stack([right, down, depth]) @ self.axes + self.center, dtype=np.float64)
 
     def enlarged(self, times: int) -> View:
         """Return the same view with more pixels."""
@@ -125,7 +125,7 @@ def spheres_of_cells(
     learned = 2 * np.asarray(probability, dtype=np.float64) - 1
     shown = learned > 0
     return Spheres(
-        centres=(cells[shown].astype(np.float64) + 0.5) * voxel_size_m,
+        centers=(cells[shown].astype(np.float64) + 0.5) * voxel_size_m,
         radii=LARGEST_RADIUS_CELLS * voxel_size_m * np.cbrt(learned[shown]),
         colors=colors[shown].astype(np.float64),
     )
@@ -143,7 +143,7 @@ def draw(spheres: Spheres, view: View) -> NDArray[np.uint8]:
     rows, columns = np.nonzero(owner >= 0)
     seen = owner[rows, columns]
     points = fine.points(rows, columns, depth[rows, columns])
-    normals = (points - spheres.centres[seen]) / spheres.radii[seen, None]
+    normals = (points - spheres.centers[seen]) / spheres.radii[seen, None]
     picture = _backdrop(fine)
     picture[rows, columns] = _shade(spheres.colors[seen], normals @ fine.axes.T, _lit(spheres, view, points))
     small = cv2.resize(picture, (view.width, view.height), interpolation=cv2.INTER_AREA)
@@ -162,7 +162,7 @@ def _splat(spheres: Spheres, view: View) -> tuple[Floats, NDArray[np.int32]]:
     """Return the depth in metres and the sphere at every pixel; infinity and -1 where there is none."""
     depth = np.full((view.height, view.width), np.inf)
     owner = np.full((view.height, view.width), -1, dtype=np.int32)
-    for number, ((x, y, z), radius) in enumerate(zip(view.place(spheres.centres), spheres.radii, strict=True)):
+    for number, ((x, y, z), radius) in enumerate(zip(view.place(spheres.centers), spheres.radii, strict=True)):
         reach = radius * view.scale
         left, right = _span(x, reach, view.width)
         top, bottom = _span(y, reach, view.height)
@@ -183,10 +183,10 @@ def _span(middle: float, reach: float, limit: int) -> tuple[int, int]:
 
 def _lit(spheres: Spheres, view: View, points: Floats) -> Floats:
     """Tell how much of the key light reaches points (n, 3): 0 in shadow, 1 in the open."""
-    reach_m = float(np.linalg.norm(spheres.centres - view.centre, axis=1).max() + spheres.radii.max())
+    reach_m = float(np.linalg.norm(spheres.centers - view.center, axis=1).max() + spheres.radii.max())
     light = View(
         axes=_axes(-KEY_LIGHT @ view.axes, view.axes[1]),
-        centre=view.centre,
+        center=view.center,
         scale=SHADOW_SIDE_PX / (2 * reach_m),
         width=SHADOW_SIDE_PX,
         height=SHADOW_SIDE_PX,

@@ -32,7 +32,7 @@ from threedvc.metrics.trajectory import object_pose_error, trajectory_error
 from threedvc.parallel import default_threads
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["DISTURBANCES", "Course", "main", "tracked"]
+__all__ = ["DISTURBANCES", "StreamTimeline", "main", "tracked"]
 
 OUTPUT = Path(__file__).with_name("TRACKING.md")
 DISTURBED = ("kitchen300",)
@@ -78,7 +78,7 @@ DISTURBANCES: dict[str, Callable[[Sequence[Frame]], list[Frame]]] = {
 
 
 @dataclass
-class Course:
+class StreamTimeline:
     """How tracking went: status of every frame, poses found and true, seconds."""
 
     status: list[PoseStatus] = field(default_factory=list)
@@ -106,9 +106,9 @@ class Course:
         return [*cells, f"{count / self.tracking_s:.1f}", f"{count / self.seconds:.1f}"]
 
 
-def tracked(frames: Sequence[Frame], info: SequenceInfo, recording: Recording) -> Course:
+def tracked(frames: Sequence[Frame], info: SequenceInfo, recording: Recording) -> StreamTimeline:
     """Track all frames as the first pass of the encoder does."""
-    scene, course = Scene(info, replace(recording.config, motion=Motion.TRACK)), Course()
+    scene, course = Scene(info, replace(recording.config, motion=Motion.TRACK)), StreamTimeline()
     for frame in frames:
         began = time.perf_counter()
         course.status.append(scene.add(frame))

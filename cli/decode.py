@@ -85,7 +85,7 @@ def decode(
         render=RenderConfig(
             supersample=supersample,
             filter_parts=FilterParts(filter_parts),
-            filmed_depth=depth_from == "filmed",
+            captured_depth=depth_from == "filmed",
             threads=threads or default_threads(),
         ),
     )

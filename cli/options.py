@@ -19,7 +19,7 @@ import click
 from threedvc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from threedvc.config import Focus, SegmentationConfig
+    from threedvc.config import RegionOfInterest, SegmentationConfig
 
 __all__ = [
     "OUTPUTS",
@@ -142,20 +142,20 @@ def segmentation(text: str) -> SegmentationConfig:
     return SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=length(near), far_m=length(far))
 
 
-def focus(text: str) -> Focus:
+def focus(text: str) -> RegionOfInterest:
     """Return the focus of ``OBJECT=WEIGHT`` or ``X0..X1,Y0..Y1,Z0..Z1=WEIGHT`` (signed lengths)."""
-    from threedvc.config import Focus
+    from threedvc.config import RegionOfInterest
 
     place, _, weight = text.rpartition("=")
     if OBJECT.fullmatch(place):
-        return Focus(weight=positive_number(weight), number=int(place))
+        return RegionOfInterest(weight=positive_number(weight), number=int(place))
     box = BOX.fullmatch(place)
     if box is None:
         raise click.BadParameter(
             f"{text!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 1=4 or -20cm..20cm,0..1,0.5..2=4"
         )
     x0, x1, y0, y1, z0, z1 = (-length(each[1:]) if each[0] == "-" else length(each) for each in box.groups())
-    return Focus(weight=positive_number(weight), box_m=(x0, x1, y0, y1, z0, z1))
+    return RegionOfInterest(weight=positive_number(weight), box_m=(x0, x1, y0, y1, z0, z1))
 
 
 def reader_options(function: F) -> F:

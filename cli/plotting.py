@@ -16,7 +16,7 @@ from threedvc.formats.outputs import write_output
 from threedvc.stream.pose_status import PoseStatus
 
 if TYPE_CHECKING:
-    from threedvc.formats.evaluation.frame_ranges import Span
+    from threedvc.formats.evaluation.frame_ranges import FrameSpan
     from threedvc.formats.evaluation.report import StreamStatistics
 
 __all__ = ["check_plotting", "is_plot", "plot_statistics"]
@@ -97,7 +97,7 @@ def _draw_course(axes: Any, report: StreamStatistics) -> None:
     axes.set_yticks(range(len(names)), names)
 
 
-def _stretch(span: Span) -> tuple[float, int]:
+def _stretch(span: FrameSpan) -> tuple[float, int]:
     """Return where the frames of a span begin on the axis, and how many they are."""
     return span.first - 0.5, span.last - span.first + 1
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from threedvc.formats.evaluation.frame_ranges import Span
+    from threedvc.formats.evaluation.frame_ranges import FrameSpan
     from threedvc.formats.evaluation.object_comparison import ObjectQuality
     from threedvc.formats.evaluation.report import ObjectStatistics, StreamStatistics
     from threedvc.metrics.trajectory import ObjectPoseError, TrajectoryError, Travel
@@ -48,7 +48,7 @@ def _rows(start: str, text: str) -> list[str]:
     return textwrap.wrap(text, WIDTH, initial_indent=start, subsequent_indent=indent, break_on_hyphens=False)
 
 
-def _frames(spans: Sequence[Span]) -> str:
+def _frames(spans: Sequence[FrameSpan]) -> str:
     return ", ".join(map(str, spans)) or "never"
 
 

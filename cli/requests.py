@@ -12,7 +12,7 @@ import click
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from threedvc.config import EncoderConfig, Focus, SegmentationConfig
+    from threedvc.config import EncoderConfig, RegionOfInterest, SegmentationConfig
     from threedvc.formats.sources import FrameRange
     from threedvc.frames.sequence import FrameSequence
 
@@ -77,7 +77,7 @@ class EncodeRequest(ReaderRequest):
     quality: int | None
     relief: int | None
     depth_video: str
-    focus: tuple[Focus, ...]
+    focus: tuple[RegionOfInterest, ...]
     causal: bool
     threads: int | None
 

@@ -99,7 +99,7 @@ class DecodedStream:
         if camera_path is not None and not len(camera_path):
             raise ConfigError("the camera path has no poses; give one line for each frame")
         render = render or RenderConfig()
-        self._captured_depth = render.filmed_depth and "depth" in what and objects is None and camera_path is None
+        self._captured_depth = render.captured_depth and "depth" in what and objects is None and camera_path is None
         self.decoder = Decoder(captured_depth=self._captured_depth)
         self._frames, self._what, self._objects = frames or (0, None), what, objects
         self._camera_path = camera_path

@@ -17,11 +17,11 @@ __all__ = [
     "EncoderConfig",
     "ExplorationConfig",
     "FilterParts",
-    "Focus",
     "FusionConfig",
     "Motion",
     "PoseConfig",
     "Preset",
+    "RegionOfInterest",
     "RenderConfig",
     "SegmentationConfig",
     "SegmentationMode",
@@ -199,7 +199,7 @@ class AppearanceConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Focus:
+class RegionOfInterest:
     """Where squared errors of colours count more than elsewhere, or less: an object or a part of the background.
 
     Attributes
@@ -286,14 +286,14 @@ class EncoderConfig:
     appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
     other_sensors: tuple[Sensor, ...] = ()
-    focus: tuple[Focus, ...] = ()
+    focus: tuple[RegionOfInterest, ...] = ()
     cell_factor: float = 1.0
     bitrate_bps: float | None = None
     live_buffer_s: float = 1.0
     refine: bool = True
     depth_video: DepthVideo = DepthVideo.AUTO
     causal: bool = False
-    group_frames: int | None = None
+    batch_frames: int | None = None
     threads: int = field(default_factory=default_threads)
 
     def __post_init__(self) -> None:
@@ -312,8 +312,8 @@ class EncoderConfig:
             raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
         if self.causal and self.depth_video is DepthVideo.ON:
             raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
-        if self.group_frames is not None and self.group_frames < 1:
-            raise ConfigError(f"group of {self.group_frames} frames must have at least one frame")
+        if self.batch_frames is not None and self.batch_frames < 1:
+            raise ConfigError(f"group of {self.batch_frames} frames must have at least one frame")
         if self.threads < 1:
             raise ConfigError(f"number of threads {self.threads} must be at least 1")
 
@@ -378,7 +378,7 @@ class RenderConfig:
 
     supersample: int | None = None
     filter_parts: FilterParts = FilterParts.ALL
-    filmed_depth: bool = True
+    captured_depth: bool = True
     threads: int = field(default_factory=default_threads)
 
     def __post_init__(self) -> None:

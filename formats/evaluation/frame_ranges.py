@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-__all__ = ["Span", "spans_of"]
+__all__ = ["FrameSpan", "ranges_of"]
 
 
-class Span(NamedTuple):
+class FrameSpan(NamedTuple):
     """Consecutive frames; as text ``7`` or ``7-9``."""
 
     first: int
@@ -19,12 +19,12 @@ class Span(NamedTuple):
         return f"{self.first}-{self.last}" if self.last > self.first else str(self.first)
 
 
-def spans_of(frames: Iterable[int]) -> tuple[Span, ...]:
+def ranges_of(frames: Iterable[int]) -> tuple[FrameSpan, ...]:
     """Divide rising frame numbers where one is missing."""
-    spans: list[Span] = []
+    spans: list[FrameSpan] = []
     for frame in frames:
         if spans and spans[-1].last == frame - 1:
-            spans[-1] = Span(spans[-1].first, frame)
+            spans[-1] = FrameSpan(spans[-1].first, frame)
         else:
-            spans.append(Span(frame, frame))
+            spans.append(FrameSpan(frame, frame))
     return tuple(spans)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from threedvc.errors import SequenceError
 from threedvc.formats.decoding import DecodedFrame
-from threedvc.formats.evaluation.frame_ranges import Span, spans_of
+from threedvc.formats.evaluation.frame_ranges import FrameSpan, ranges_of
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
 from threedvc.metrics.trajectory import ObjectPoseError, TrajectoryError, object_pose_error, trajectory_error
@@ -20,9 +20,9 @@ from threedvc.metrics.trajectory import ObjectPoseError, TrajectoryError, object
 __all__ = ["ObjectComparison", "ObjectQuality", "SpuriousObject", "matched"]
 
 LABELS = 256
-LEAST_PIXELS = 30
+MIN_PIXELS = 30
 """An object with fewer pixels than these is not taken to be shown by a frame."""
-LEAST_SHARE = 0.1
+MIN_SHARE = 0.1
 """Objects are only matched where at least this part of what is drawn lies on the other."""
 MOVED_M = 0.01
 MOVED_DEG = 2.0
@@ -62,7 +62,7 @@ class SpuriousObject:
 
     number: int
     frames: int
-    spans: tuple[Span, ...]
+    spans: tuple[FrameSpan, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,8 +91,8 @@ class _Seen:
     def shows(self, number: int | None, label: int) -> bool:
         """Tell whether the mask shows a label; without one, whether the object matched to it is drawn."""
         if self.shared is None:
-            return number is not None and self.drawn.get(number, 0) >= LEAST_PIXELS
-        return self.pixels(label) >= LEAST_PIXELS
+            return number is not None and self.drawn.get(number, 0) >= MIN_PIXELS
+        return self.pixels(label) >= MIN_PIXELS
 
     def T_world_object(self, label: int) -> Pose | None:
         """Return the true pose of an object in the frame of the background, or None."""
@@ -119,7 +119,7 @@ def matched(shared: Mapping[tuple[int, int], int], drawn: Mapping[int, int]) -> 
     numbers: dict[int, int] = {}
     pairs = [(number, label) for number, label in shared if number and label]
     for number, label in sorted(pairs, key=lambda pair: (-shared[pair], pair)):
-        enough = shared[number, label] >= LEAST_SHARE * drawn[number]
+        enough = shared[number, label] >= MIN_SHARE * drawn[number]
         if enough and label not in numbers and number not in numbers.values():
             numbers[label] = number
     return numbers
@@ -167,11 +167,11 @@ class ObjectComparison:
         """Return the objects that frames with a mask show and that are matched to none; None if no frame has a mask."""
         if not self._has_masks():
             return None
-        drawn = {number for frame in self._masked() for number in frame.drawn if frame.drawn[number] >= LEAST_PIXELS}
+        drawn = {number for frame in self._masked() for number in frame.drawn if frame.drawn[number] >= MIN_PIXELS}
         found = []
         for number in sorted(drawn - set(self.matches().values())):
-            frames = [frame.index for frame in self._frames if frame.drawn.get(number, 0) >= LEAST_PIXELS]
-            found.append(SpuriousObject(number=number, frames=len(frames), spans=spans_of(frames)))
+            frames = [frame.index for frame in self._frames if frame.drawn.get(number, 0) >= MIN_PIXELS]
+            found.append(SpuriousObject(number=number, frames=len(frames), spans=ranges_of(frames)))
         return found
 
     def matches(self) -> dict[int, int]:

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from threedvc.formats.evaluation.byte_counts import PacketTotal
-from threedvc.formats.evaluation.frame_ranges import Span, spans_of
+from threedvc.formats.evaluation.frame_ranges import FrameSpan, ranges_of
 from threedvc.formats.evaluation.object_comparison import ObjectQuality, SpuriousObject
 from threedvc.geometry.pose import Pose, quaternion
 from threedvc.metrics.paper_accounting import PaperAccounting
@@ -58,7 +58,7 @@ class ObjectStatistics:
     poses: int
     guessed: bool = False
     passing: bool = False
-    spans: tuple[Span, ...] = ()
+    spans: tuple[FrameSpan, ...] = ()
     birth: int | None = None
     death: int | None = None
     travel: Travel | None = None
@@ -208,10 +208,10 @@ class StreamStatistics:
         return dict(Counter(item.status.value for item in self.per_frame if item.status is not None))
 
     @property
-    def status_spans(self) -> dict[str, tuple[Span, ...]]:
+    def status_spans(self) -> dict[str, tuple[FrameSpan, ...]]:
         """Frames whose pose was weak, lost, or found again after it was lost, by status; only those that occur."""
         spans = {
-            status.value: spans_of(item.frame for item in self.per_frame if item.status is status) for status in NAMED
+            status.value: ranges_of(item.frame for item in self.per_frame if item.status is status) for status in NAMED
         }
         return {name: frames for name, frames in spans.items() if frames}
 

@@ -29,7 +29,7 @@ from threedvc.formats.evaluation.report import (
     SensorStatistics,
     StreamStatistics,
 )
-from threedvc.formats.evaluation.timeline import Course
+from threedvc.formats.evaluation.timeline import StreamTimeline
 from threedvc.formats.evaluation.visibility import VisibilityDetector
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.formats.sources.notices import Notice, notices_of
@@ -157,7 +157,7 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
-    byte_counts, decoder, course = ByteCounts(), Decoder(captured_depth=False), Course()
+    byte_counts, decoder, course = ByteCounts(), Decoder(captured_depth=False), StreamTimeline()
     detectors: dict[int, VisibilityDetector] = {}
     packets = byte_counts.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):
@@ -187,7 +187,7 @@ def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
     return report, decoder
 
 
-def _objects(byte_counts: ByteCounts, decoder: Decoder, course: Course) -> list[ObjectStatistics]:
+def _objects(byte_counts: ByteCounts, decoder: Decoder, course: StreamTimeline) -> list[ObjectStatistics]:
     objects = []
     for number, model in sorted(decoder.models.items()):
         spans = course.spans(number)
@@ -210,7 +210,7 @@ def _objects(byte_counts: ByteCounts, decoder: Decoder, course: Course) -> list[
     return objects
 
 
-def _sensor(number: int, header: StreamHeader | SensorHeader, course: Course) -> SensorStatistics:
+def _sensor(number: int, header: StreamHeader | SensorHeader, course: StreamTimeline) -> SensorStatistics:
     rig, channels, frames = rig_of(header), 1 if header.grey else 3, course.sensors.count(number)
     raw_bytes = rig.color.width * rig.color.height * channels + rig.depth.width * rig.depth.height * DEPTH_BYTES
     return SensorStatistics(
@@ -222,7 +222,7 @@ def _sensor(number: int, header: StreamHeader | SensorHeader, course: Course) ->
     )
 
 
-def _paper(objects: Sequence[ObjectStatistics], course: Course, rigs: Sequence[CameraRig]) -> PaperAccounting:
+def _paper(objects: Sequence[ObjectStatistics], course: StreamTimeline, rigs: Sequence[CameraRig]) -> PaperAccounting:
     # A single pose only says where an object stands.
     moving = [item for item in objects if item.poses > 1]
     return PaperAccounting(
@@ -233,7 +233,7 @@ def _paper(objects: Sequence[ObjectStatistics], course: Course, rigs: Sequence[C
     )
 
 
-def _per_frame(course: Course, decoder: Decoder, sizes: Sequence[int]) -> list[FrameStatistics]:
+def _per_frame(course: StreamTimeline, decoder: Decoder, sizes: Sequence[int]) -> list[FrameStatistics]:
     told, counts = decoder.report, course.counts(decoder.models)
     frames = range(len(course.times_ns))
     entropies = dict(zip(frames, told.entropy_bits, strict=False))

@@ -8,17 +8,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from threedvc.decoder.frame_state import FrameState
-from threedvc.formats.evaluation.frame_ranges import Span, spans_of
+from threedvc.formats.evaluation.frame_ranges import FrameSpan, ranges_of
 from threedvc.formats.evaluation.report import BACKGROUND
 from threedvc.geometry.pose import Pose
 from threedvc.metrics.trajectory import Travel, travel
 from threedvc.model.decoded_model import DecodedModel
 
-__all__ = ["Course"]
+__all__ = ["StreamTimeline"]
 
 
 @dataclass(kw_only=True)
-class Course:
+class StreamTimeline:
     """The frames of a stream so far.
 
     Attributes
@@ -55,9 +55,9 @@ class Course:
         own = [pose for pose, sensor in zip(self.T_world_camera, self.sensors, strict=True) if not sensor]
         return travel(own) if own else None
 
-    def spans(self, number: int) -> tuple[Span, ...]:
+    def spans(self, number: int) -> tuple[FrameSpan, ...]:
         """Return the frames in which an object is visible."""
-        return spans_of(frame for frame, visible in enumerate(self.visible) if number in visible)
+        return ranges_of(frame for frame, visible in enumerate(self.visible) if number in visible)
 
     def object_travel(self, number: int, model: DecodedModel) -> Travel | None:
         """Return how far the middle of an object's cells went in the world, from the first frame that shows it on.

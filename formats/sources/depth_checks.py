@@ -28,7 +28,7 @@ TOLD_PLAUSIBLE_M = (0.005, 500.0)
 FAR_SHARE, FAR_FACTOR = 0.02, 1.5
 """A value on more than this share of the pixels, beyond all others by this factor, stands for "no measurement"."""
 NEARLY_ALL = 0.999
-MIN_NEIGHBOURS, MIN_DENSE_SHARE = 3, 0.3
+MIN_NEIGHBORS, MIN_DENSE_SHARE = 3, 0.3
 """Surfaces are made of measurements with neighbours: cameras have 3 of 8 at nearly all pixels, and the accumulated
 scans of a rotating laser at 80 %; single scans and sparse points hardly anywhere."""
 MIN_MEASURED = 100
@@ -120,11 +120,11 @@ def _check_density(probes: Sequence[_Probe]) -> None:
     measured = densest.raw > 0
     count = int(np.count_nonzero(measured))
     about = cv2.boxFilter(measured.astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) - 1
-    dense = np.count_nonzero(measured & (about >= MIN_NEIGHBOURS - 0.5))
+    dense = np.count_nonzero(measured & (about >= MIN_NEIGHBORS - 0.5))
     if count >= MIN_MEASURED and dense < MIN_DENSE_SHARE * count:
         raise SequenceError(
             f"{densest.path}: depth is on {count / measured.size:.1%} of the pixels, and only {dense / count:.0%} of "
-            f"these have {MIN_NEIGHBOURS} neighbours with depth: too sparse to make surfaces of; fill it in (depth "
+            f"these have {MIN_NEIGHBORS} neighbours with depth: too sparse to make surfaces of; fill it in (depth "
             "completion), or give a depth camera's pictures"
         )
 

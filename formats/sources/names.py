@@ -47,7 +47,7 @@ EPOCH_STEP_S = 5
 """Steps of such numbers up to which they are seconds; larger ones are milliseconds of a clock that runs for days."""
 CLOCK_STEP = 1000
 """Steps of a frame's number that are this large would be a recording that kept every thousandth frame."""
-LEAST_MILLISECONDS = 8
+MIN_MILLISECONDS = 8
 """Milliseconds of 120 frames a second are 8 and 9 apart; faster cameras cannot be told from left-out frames."""
 JITTER = 0.2
 REGULAR_SHARE = 0.9
@@ -174,7 +174,7 @@ def _fitting_unit(step: float | Decimal, largest: int | Decimal) -> int | None:
 def _is_clock_of_milliseconds(steps: Sequence[int]) -> bool:
     """Tell whether steps are those of a camera's clock: nearly regular, at a usual rate, but not in whole strides."""
     typical = median(steps)
-    if typical < LEAST_MILLISECONDS or len(steps) < 2 or gcd(*steps) > max(1, typical / 2):
+    if typical < MIN_MILLISECONDS or len(steps) < 2 or gcd(*steps) > max(1, typical / 2):
         return False
     tolerance = max(1.0, JITTER * typical)
     near = [step for step in steps if abs(step - max(1, round(step / typical)) * typical) <= tolerance]

@@ -105,7 +105,7 @@ def shape_lawfully(payload: bytes) -> None:
         decode_relief(payload, model)
     except FormatError:
         return
-    assert not len(model.untold_cells()[0])
+    assert not len(model.cells_without_offset()[0])
     model.fit_planes()
     assert np.all(model.planes.reshape(-1, 4)[:, 3] <= 127)
 
@@ -151,7 +151,7 @@ def spread_lawfully(payload: bytes) -> None:
         spread(picture, model, SMALL, identity())
     except FormatError:
         return
-    assert not len(model.untold_cells()[0])
+    assert not len(model.cells_without_offset()[0])
 
 
 @settings(deadline=None)

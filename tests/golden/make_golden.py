@@ -26,12 +26,12 @@ FRAMES = 8
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
 CASES: dict[str, tuple[str, EncoderConfig]] = {
-    "paper": ("paper", EncoderConfig(voxel_size_m=0.02, group_frames=4)),
+    "paper": ("paper", EncoderConfig(voxel_size_m=0.02, batch_frames=4)),
     "objects": ("objects", EncoderConfig(voxel_size_m=0.02, segmentation=MASKS)),
     "room": ("room", EncoderConfig(voxel_size_m=0.04)),
     "room_relief": ("room", EncoderConfig(voxel_size_m=0.05, appearance=AppearanceConfig(relief_bits=2))),
-    "paper_picture": ("paper", EncoderConfig(motion=Motion.KNOWN, segmentation=THRESHOLD, group_frames=4)),
-    "room_live": ("room", EncoderConfig(voxel_size_m=0.04, causal=True, group_frames=3)),
+    "paper_picture": ("paper", EncoderConfig(motion=Motion.KNOWN, segmentation=THRESHOLD, batch_frames=4)),
+    "room_live": ("room", EncoderConfig(voxel_size_m=0.04, causal=True, batch_frames=3)),
 }
 
 

@@ -31,7 +31,7 @@ from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.appearance.appearance_fit import fit_appearance
 from threedvc.encoder.appearance.photometric_alignment import aligned_shift
 from threedvc.encoder.appearance.samples import Sampler
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.formats.container import StreamWriter
@@ -47,7 +47,7 @@ MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
 WHOLE = SegmentationConfig(mode=SegmentationMode.NONE)
 SIZES = {"paper": (80, 80), "room": (128, 96), "objects": (128, 96)}
-FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=WHOLE, group_frames=4)
+FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=WHOLE, batch_frames=4)
 needs_avif = pytest.mark.skipif(not can_encode_pictures(), reason="this build of OpenCV has no AVIF")
 
 
@@ -254,7 +254,7 @@ def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
     encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
     list(encoder.packets(sequence))
     item = encoder.scene.objects[0]
-    size, front = item.evidence.voxel_size_m, read_surface(item.evidence, 2, smooth=True).cells
+    size, front = item.evidence.voxel_size_m, extract_surface(item.evidence, 2, smooth=True).cells
     # A wall of evidence that no frame can see: a copy of what is seen, set back by a metre.
     away = np.rint(np.array([0.0, 0.0, 1.0]) / size).astype(np.int32)
     T = item.poses[0]
@@ -267,7 +267,7 @@ def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
     for values in (evidence.distance, evidence.distance_weight, evidence.log_odds):
         flat = values.reshape(-1)
         flat[there[free]] = flat[positions[free]]
-    with_hidden = read_surface(evidence, 2, smooth=True)
+    with_hidden = extract_surface(evidence, 2, smooth=True)
     kept = fit_appearance(encoder.scene, sequence).surfaces[0].cells
     known, hidden = ({tuple(cell) for cell in cells.tolist()} for cells in (front, behind[free]))
     read, left = ({tuple(cell) for cell in cells.tolist()} for cells in (with_hidden.cells, kept))
@@ -291,7 +291,7 @@ def test_what_is_seen_but_for_a_moment_is_not_hidden() -> None:
     sequence = ListSequence(frames, replace(moving.info, frame_count=40))
     encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
     list(encoder.packets(sequence))
-    read = read_surface(encoder.scene.objects[0].evidence, 2, smooth=True)
+    read = extract_surface(encoder.scene.objects[0].evidence, 2, smooth=True)
     late = read.first_seen == 39
     assert np.count_nonzero(late) > 100
     kept = fit_appearance(encoder.scene, sequence).surfaces[0]
@@ -361,7 +361,7 @@ def test_a_live_stream_never_exceeds_its_rate(
     name: str, segmentation: SegmentationConfig, rate: float, group: int
 ) -> None:
     sequence = scene(name, 30)
-    config = replace(FILE, segmentation=segmentation, causal=True, group_frames=group, bitrate_bps=rate)
+    config = replace(FILE, segmentation=segmentation, causal=True, batch_frames=group, bitrate_bps=rate)
     sink = io.BytesIO()
     writer = StreamWriter(sink)
     seconds = 0.0
@@ -420,7 +420,7 @@ def test_a_scene_without_holes_needs_no_guess() -> None:
 def test_a_relief_goes_with_every_group_of_cells(bits: int) -> None:
     sequence = scene("room")
     plain = with_preset(FILE, Preset.FAST)
-    fine = replace(plain, group_frames=3, appearance=replace(plain.appearance, relief_bits=bits))
+    fine = replace(plain, batch_frames=3, appearance=replace(plain.appearance, relief_bits=bits))
     packets = encoded(sequence, fine)
     updates = [packet for packet in members(packets, PacketType.MODEL) if packet.header.get("o", 0) == 0]
     assert len(updates) > 1

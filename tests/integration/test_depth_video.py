@@ -110,7 +110,7 @@ def within_one_per_cent(path: Path, sequence: ListSequence, render: RenderConfig
 def test_a_video_shows_depth_that_no_rigid_model_can(tmp_path: Path) -> None:
     sequence = nonrigid_sequence(FRAMES)
     path = saved(sequence, CONFIG, tmp_path / "with.3dvc")
-    models = within_one_per_cent(path, sequence, RenderConfig(filmed_depth=False, threads=2))
+    models = within_one_per_cent(path, sequence, RenderConfig(captured_depth=False, threads=2))
     assert within_one_per_cent(path, sequence) > max(0.6, 1.8 * models)
     without = saved(sequence, replace(CONFIG, depth_video=DepthVideo.OFF), tmp_path / "without.3dvc")
     assert within_one_per_cent(without, sequence) == pytest.approx(models, abs=1e-9)
@@ -119,7 +119,7 @@ def test_a_video_shows_depth_that_no_rigid_model_can(tmp_path: Path) -> None:
 @with_video
 def test_groups_of_frames_have_a_video_each() -> None:
     sequence = nonrigid_sequence(FRAMES)
-    encoder = Encoder(sequence.info, replace(CONFIG, group_frames=5))
+    encoder = Encoder(sequence.info, replace(CONFIG, batch_frames=5))
     packets = list(verified(encoder.packets(sequence)))
     headers = [VideoHeader.from_map(member.header) for member in video_of(packets)]
     assert [(header.frame, header.count) for header in headers] == [(0, 5), (5, 5), (10, 2)]
@@ -151,7 +151,7 @@ def test_a_rate_is_met_with_a_video() -> None:
 def test_a_rate_is_met_with_many_videos() -> None:
     sequence = nonrigid_sequence(FRAMES)
     rate = 250_000.0
-    encoder = Encoder(sequence.info, replace(CONFIG, bitrate_bps=rate, group_frames=2))
+    encoder = Encoder(sequence.info, replace(CONFIG, bitrate_bps=rate, batch_frames=2))
     packets = list(encoder.packets(sequence))
     assert len(video_of(packets)) == FRAMES // 2
     assert stream_bytes(packets) <= rate * FRAMES / sequence.info.fps / 8
@@ -206,7 +206,7 @@ def test_where_nothing_was_measured_the_models_stay(tmp_path: Path) -> None:
             depth[:, :40] = 0
         kept.append(replace(frame, depth=depth))
     path = saved(ListSequence(kept, sequence.info), CONFIG, tmp_path / "half.3dvc")
-    models = [frame.depth for frame in threedvc.decode(path, render=RenderConfig(filmed_depth=False, threads=2))]
+    models = [frame.depth for frame in threedvc.decode(path, render=RenderConfig(captured_depth=False, threads=2))]
     film = [frame.depth for frame in threedvc.decode(path)]
     for shown, drawn in list(zip(film, models, strict=True))[4:]:
         here = drawn[:, :32] > 0
@@ -235,7 +235,7 @@ def test_sensors_have_videos_of_their_own(tmp_path: Path) -> None:
     pictures = {0: calm, 1: other}
     shares: dict[int, list[float]] = {0: [], 1: []}
     models: dict[int, list[float]] = {0: [], 1: []}
-    for found, render in ((shares, None), (models, RenderConfig(filmed_depth=False, threads=2))):
+    for found, render in ((shares, None), (models, RenderConfig(captured_depth=False, threads=2))):
         for drawn in threedvc.decode(path, render=render):
             given = pictures[drawn.sensor][drawn.number].depth
             found[drawn.sensor].append(float(np.mean(np.abs(drawn.depth - given) < 0.01 * given)))
@@ -250,7 +250,7 @@ def test_builds_without_avif_still_decode_the_models(tmp_path: Path, monkeypatch
     monkeypatch.setattr(picture_sequence, "can_decode_sequences", lambda: False)
     with pytest.raises(UnsupportedVersion, match="install opencv-python-headless"):
         list(threedvc.decode(path))
-    assert len(list(threedvc.decode(path, render=RenderConfig(filmed_depth=False)))) == FRAMES
+    assert len(list(threedvc.decode(path, render=RenderConfig(captured_depth=False)))) == FRAMES
     assert len(list(threedvc.decode(path, what=frozenset({"color"})))) == FRAMES
     assert threedvc.statistics(path).frames == FRAMES
 
@@ -319,7 +319,7 @@ def slowly_magnified(samples: NDArray[np.uint8], drawn: NDArray[np.float32], com
 def test_other_views_show_the_models(tmp_path: Path) -> None:
     sequence = nonrigid_sequence(FRAMES)
     path = saved(sequence, CONFIG, tmp_path / "a.3dvc")
-    models = [frame.depth for frame in threedvc.decode(path, render=RenderConfig(filmed_depth=False, threads=2))]
+    models = [frame.depth for frame in threedvc.decode(path, render=RenderConfig(captured_depth=False, threads=2))]
     film = [frame.depth for frame in threedvc.decode(path)]
     alone = [frame.depth for frame in threedvc.decode(path, objects=[0])]
     there = [frame.T_world_camera for frame in threedvc.decode(path)]

@@ -16,7 +16,7 @@ from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfi
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.verification import verified
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, SequenceError
@@ -50,7 +50,7 @@ def scene(name: str, frames: int = FRAMES, first: int = 0) -> ListSequence:
 def config(**changes: object) -> EncoderConfig:
     """Return a configuration for tests: small groups, the exact sensor, no second pass."""
     values = {
-        "group_frames": 4,
+        "batch_frames": 4,
         "threads": 1,
         "sensor": Sensor.IDEAL,
         "refine": False,
@@ -211,7 +211,7 @@ def test_repeating_the_last_frame_costs_only_the_report() -> None:
 
 def test_live_a_standing_picture_settles() -> None:
     sequence = repeated(scene("room"), 0, 29)
-    _, packets = encoded(sequence, config(causal=True, group_frames=1))
+    _, packets = encoded(sequence, config(causal=True, batch_frames=1))
     decoder, contents = Decoder(), list[dict[tuple[int, ...], tuple[int, ...]]]()
     for _ in decoder.frames(packets):
         cells, colors = decoder.models[0].cells()
@@ -224,7 +224,7 @@ def test_live_a_standing_picture_settles() -> None:
 
 def test_live_what_stops_falls_silent() -> None:
     sequence = repeated(scene("paper"), FRAMES - 1, 50)
-    _, packets = encoded(sequence, config(segmentation=THRESHOLD, causal=True, group_frames=1))
+    _, packets = encoded(sequence, config(segmentation=THRESHOLD, causal=True, batch_frames=1))
     assert max(posed_frames(packets, 1)) == FRAMES - 1
     updates = {frame: size_of(without_reports(members)) for frame, members in batches(packets).items()}
     assert sum(size for frame, size in updates.items() if frame > FRAMES + 20) < 0.06 * sum(updates.values())
@@ -319,7 +319,7 @@ def test_live_batches_come_while_frames_still_arrive() -> None:
             taken.append(frame.index)
             yield frame
 
-    encoder = Encoder(sequence.info, config(causal=True, group_frames=2))
+    encoder = Encoder(sequence.info, config(causal=True, batch_frames=2))
     seen = [(packet.type, len(taken)) for packet in encoder.packets(camera())]
     arrivals = [count for kind, count in seen if kind == PacketType.BATCH]
     # A group goes out as soon as the first frame after it shows that it is not the last.
@@ -340,7 +340,7 @@ def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
 def test_live_cells_are_those_of_the_evidence() -> None:
     encoder = Encoder(scene("room").info, config(causal=True))
     model = decoded(list(encoder.packets(scene("room"))))[0].models[0]
-    read = read_surface(encoder.scene.objects[0].evidence, 2)
+    read = extract_surface(encoder.scene.objects[0].evidence, 2)
     there = {tuple(cell) for cell in read.cells.tolist()}
     assert np.mean([tuple(cell) in there for cell in model.cells()[0].tolist()]) > 0.7
 
@@ -474,7 +474,7 @@ def test_verification_fails_where_the_decoder_would() -> None:
 def test_live_a_rest_costs_next_to_nothing() -> None:
     room = scene("room")
     settled, rested = (
-        encoded(repeated(room, FRAMES - 1, count), config(causal=True, group_frames=10))[1] for count in (30, 330)
+        encoded(repeated(room, FRAMES - 1, count), config(causal=True, batch_frames=10))[1] for count in (30, 330)
     )
     assert stream_bytes(rested) - stream_bytes(settled) < 100
     decoder = Decoder()

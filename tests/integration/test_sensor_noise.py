@@ -35,22 +35,22 @@ def metered(depth_m: float, sigma_m: float, rng: np.random.Generator, voxel_size
 @pytest.mark.parametrize("depth_m", [0.3, 1.0, 3.0])
 def test_noise_as_expected_speaks_for_no_other_sensor(sensor: Sensor, depth_m: float, rng: np.random.Generator) -> None:
     model = SENSORS[sensor]
-    assert metered(depth_m, float(model.sigma_m(np.array(depth_m))), rng).better_than(model) is None
+    assert metered(depth_m, float(model.sigma_m(np.array(depth_m))), rng).likelier_sensor(model) is None
 
 
 def test_much_more_noise_than_expected_speaks_for_another(rng: np.random.Generator) -> None:
     meter = metered(0.3, 0.0045, rng)
-    assert meter.better_than(SENSORS[Sensor.KINECT1]) is Sensor.LIDAR
-    assert meter.better_than(SENSORS[Sensor.IDEAL]) is Sensor.LIDAR
-    assert meter.better_than(SENSORS[Sensor.LIDAR]) is None
+    assert meter.likelier_sensor(SENSORS[Sensor.KINECT1]) is Sensor.LIDAR
+    assert meter.likelier_sensor(SENSORS[Sensor.IDEAL]) is Sensor.LIDAR
+    assert meter.likelier_sensor(SENSORS[Sensor.LIDAR]) is None
 
 
 def test_wide_cells_explain_noise(rng: np.random.Generator) -> None:
-    assert metered(0.3, 0.0045, rng, voxel_size_m=0.02).better_than(SENSORS[Sensor.KINECT1]) is None
+    assert metered(0.3, 0.0045, rng, voxel_size_m=0.02).likelier_sensor(SENSORS[Sensor.KINECT1]) is None
 
 
 def test_less_noise_than_expected_speaks_for_none(rng: np.random.Generator) -> None:
-    assert metered(1.0, 0.0003, rng).better_than(SENSORS[Sensor.LIDAR]) is None
+    assert metered(1.0, 0.0003, rng).likelier_sensor(SENSORS[Sensor.LIDAR]) is None
 
 
 @pytest.mark.parametrize(("side", "frames"), [(16, 50), (60, MIN_METERED_FRAMES - 1)])
@@ -58,7 +58,7 @@ def test_a_few_pixels_or_frames_tell_nothing(side: int, frames: int) -> None:
     meter = NoiseMeter()
     for _ in range(frames):
         meter.add(np.full((side, side), 1.0, dtype=np.float32), np.full((side, side), 1.05, dtype=np.float32), 0.001)
-    assert meter.better_than(SENSORS[Sensor.IDEAL]) is None
+    assert meter.likelier_sensor(SENSORS[Sensor.IDEAL]) is None
     assert meter.frames == (frames if side == 60 else 0)
 
 
@@ -67,7 +67,7 @@ def test_frames_that_tell_nothing_do_not_count(rng: np.random.Generator) -> None
     for _ in range(20):
         meter.add(np.zeros((60, 80), dtype=np.float32), np.ones((60, 80), dtype=np.float32), 0.001)
     assert meter.frames == MIN_METERED_FRAMES
-    assert meter.better_than(SENSORS[Sensor.KINECT1]) is Sensor.LIDAR
+    assert meter.likelier_sensor(SENSORS[Sensor.KINECT1]) is Sensor.LIDAR
 
 
 @pytest.mark.parametrize("refine", [False, True])

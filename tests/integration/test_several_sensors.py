@@ -13,7 +13,7 @@ import pytest
 from helpers.streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Preset, with_preset
 from threedvc.encoder.pipeline.encoder import Encoder
-from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
+from threedvc.encoder.reconstruction.extrinsic_calibration import calibrate_extrinsics
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.pose_fusion import PoseEstimate, fused_pose
 from threedvc.errors import ConfigError, CorruptStream
@@ -22,7 +22,7 @@ from threedvc.formats.encoding import encode
 from threedvc.formats.evaluation.statistics import statistics
 from threedvc.frames.frame import Frame
 from threedvc.frames.multi_sensor import MergedSequence
-from threedvc.frames.sequence import FrameSequence, moments
+from threedvc.frames.sequence import FrameSequence, frame_sets
 from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.metrics.trajectory import trajectory_error
 from threedvc.stream.sensor_order import SensorSlot, pack_cycle, shortest_cycle, unpack_cycle
@@ -88,21 +88,21 @@ class TestMerging:
         assert [frame.index for frame in frames] == list(range(12))
         times = [frame.timestamp_ns for frame in frames]
         assert times == sorted(times)
-        assert not any(frame.together for frame in frames)
+        assert not any(frame.synchronised for frame in frames)
         assert merged.info.fps == pytest.approx(45, rel=0.01)
         np.testing.assert_array_equal(merged[4].color, frames[4].color)
 
     def test_equal_times_are_one_moment(self, room: tuple[list[ListSequence], Pose]) -> None:
         (left, right), T = room
         merged = MergedSequence([left, in_memory(right, offset_ns=MS // 2)], [T])
-        assert [frame.together for frame in merged] == [False, True] * FRAMES
-        assert [len(moment) for moment in moments(merged, merged.info)] == [2] * FRAMES
+        assert [frame.synchronised for frame in merged] == [False, True] * FRAMES
+        assert [len(moment) for moment in frame_sets(merged, merged.info)] == [2] * FRAMES
         assert merged[1].timestamp_ns == MS // 2
 
     def test_a_delay_brings_clocks_together(self, room: tuple[list[ListSequence], Pose]) -> None:
         (left, right), T = room
         late = in_memory(right, offset_ns=5 * NANOSECONDS)
-        assert [frame.together for frame in MergedSequence([left, late], [T], [-5 * NANOSECONDS])] == [
+        assert [frame.synchronised for frame in MergedSequence([left, late], [T], [-5 * NANOSECONDS])] == [
             False, True
         ] * FRAMES  # fmt: skip
 
@@ -171,7 +171,7 @@ class TestTurns:
 
 
 class TestStream:
-    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 3], ids=["together", "apart"])
+    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 3], ids=["synchronised", "apart"])
     @pytest.mark.parametrize("preset", ["live", "fast", "medium"])
     def test_every_sensor_gets_its_pictures(
         self, room: tuple[list[ListSequence], Pose], offset_ns: int, preset: str
@@ -228,11 +228,11 @@ class TestStream:
 
     def test_poses_are_sent_once_a_moment(self, room: tuple[list[ListSequence], Pose]) -> None:
         (left, right), T = room
-        together = statistics(io.BytesIO(encoded(MergedSequence([left, right], [T]))))
-        assert together.objects[0].poses <= FRAMES
-        assert together.packets["SENSOR"].count == together.packets["ORDER"].count == 1
-        assert [sensor.frames for sensor in together.sensors] == [FRAMES, FRAMES]
-        assert together.duration_s == pytest.approx(FRAMES / 30)
+        synchronised = statistics(io.BytesIO(encoded(MergedSequence([left, right], [T]))))
+        assert synchronised.objects[0].poses <= FRAMES
+        assert synchronised.packets["SENSOR"].count == synchronised.packets["ORDER"].count == 1
+        assert [sensor.frames for sensor in synchronised.sensors] == [FRAMES, FRAMES]
+        assert synchronised.duration_s == pytest.approx(FRAMES / 30)
 
     def test_statistics_compare_every_sensor(self, room: tuple[list[ListSequence], Pose]) -> None:
         (left, right), T = room
@@ -250,13 +250,13 @@ class TestTracking:
         (left, right), T = room
         merged = MergedSequence([without_poses(in_memory(left, blind=True)), without_poses(right)], [T])
         scene = Scene(merged.info, FAST)
-        status = [scene.add(*moment) for moment in moments(merged, merged.info)]
+        status = [scene.add(*moment) for moment in frame_sets(merged, merged.info)]
         assert set(status) == {"tracked"}
         true = [frame.T_world_camera for frame in left if frame.T_world_camera is not None]
         found = [inverse(pose) for pose in scene.objects[0].poses[::2]]
         assert trajectory_error(true, found, list(range(FRAMES))).ate_rmse_mm < 20
 
-    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 2], ids=["together", "apart"])
+    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 2], ids=["synchronised", "apart"])
     def test_sensors_that_see_nothing_in_common(self, offset_ns: int) -> None:
         scene = make_scene("room", frames=2 * FRAMES, size=(96, 72))
         behind = make_pose(rotation_from_vector(np.array([0.0, 2.4, 0.0])), np.zeros(3))
@@ -270,7 +270,7 @@ class TestTracking:
         right = ListSequence(frames, left.info)
         merged = MergedSequence([without_poses(left), without_poses(right)], [behind])
         tracked = Scene(merged.info, FAST)
-        status = [tracked.add(*moment) for moment in moments(merged, merged.info)]
+        status = [tracked.add(*moment) for moment in frame_sets(merged, merged.info)]
         assert "lost" not in status
         own = [k for k, sensor in enumerate(tracked.sensors) if sensor == 1]
         true = [frame.T_world_camera for frame in right if frame.T_world_camera is not None]
@@ -281,7 +281,7 @@ class TestTracking:
         (left, right), T = room
         merged = MergedSequence([without_poses(left), without_poses(right)], [T])
         scene = Scene(merged.info, FAST)
-        for moment in moments(merged, merged.info):
+        for moment in frame_sets(merged, merged.info):
             scene.add(*moment)
         poses = scene.objects[0].poses
         for one, other in zip(poses[::2], poses[1::2], strict=True):
@@ -303,9 +303,9 @@ class TestTracking:
         (left, right), T = room
         merged = MergedSequence([left, right], [T])
         scene = Scene(merged.info, replace(FAST, motion=Motion.KNOWN))
-        for moment in moments(merged, merged.info):
+        for moment in frame_sets(merged, merged.info):
             scene.add(*moment)
-        assert mounted_info(scene, merged) is None
+        assert calibrate_extrinsics(scene, merged) is None
 
     def test_motion_cannot_divide_frames_of_several(self, room: tuple[list[ListSequence], Pose]) -> None:
         from threedvc.config import SegmentationConfig, SegmentationMode

@@ -13,7 +13,7 @@ from threedvc.encoder.fusion.integration import confidence_of, free_space_log_od
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.view_planning.occupancy_field import EntropyField
+from threedvc.view_planning.occupancy_field import OccupancyField
 
 __all__ = ["best_looks", "flooded", "observed"]
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 def observed(
-    field: EntropyField,
+    field: OccupancyField,
     depth: NDArray[np.float32],
     mask: NDArray[np.bool_],
     camera: Camera,
@@ -52,7 +52,7 @@ def observed(
 
 
 def _near_reading(
-    field: EntropyField, point: Floats, reading: float, sigma: float, T_camera_field: Pose, sensor: SensorModel
+    field: OccupancyField, point: Floats, reading: float, sigma: float, T_camera_field: Pose, sensor: SensorModel
 ) -> float:
     spread = np.sqrt(sigma**2 + field.cell_m**2 / 12)
     slopes = point / point[2]
@@ -67,7 +67,7 @@ def _near_reading(
     return ray_sum(odds, likelihood, sensor.outlier, ahead)
 
 
-def _log_odds_at(field: EntropyField, place: Floats) -> float:
+def _log_odds_at(field: OccupancyField, place: Floats) -> float:
     cell = np.floor((place - field.origin_m) / field.cell_m).astype(int)
     inside = np.all((cell >= 0) & (cell < field.log_odds.shape))
     return float(field.log_odds[tuple(cell)]) if inside else 0.0
@@ -95,11 +95,11 @@ def best_looks(
     looks = np.zeros(opacity.shape)
     for slope in slopes:
         along = view[:, :2] @ slope + view[:, 2]
-        crossings = [0.0, reach_m]
+        subvoxel_offsets = [0.0, reach_m]
         for axis in range(3):
             if along[axis] != 0:
-                crossings += list((np.arange(opacity.shape[axis] + 1) - view[axis, 3]) / along[axis])
-        depths = np.unique([depth for depth in crossings if 0 <= depth <= reach_m])
+                subvoxel_offsets += list((np.arange(opacity.shape[axis] + 1) - view[axis, 3]) / along[axis])
+        depths = np.unique([depth for depth in subvoxel_offsets if 0 <= depth <= reach_m])
         left = 1.0
         for near, far in pairwise(depths):
             cell = tuple(np.floor(view[:, 3] + along * (near + far) / 2).astype(int))

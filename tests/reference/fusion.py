@@ -123,8 +123,8 @@ def _position(model: EvidenceModel, cell: NDArray[np.int32]) -> int:
 
 
 def _in_camera(cell: NDArray[np.int32], voxel_size: float, T_camera_object: Pose) -> Floats:
-    centre = (cell + 0.5) * voxel_size
-    return T_camera_object[:3, :3] @ centre + T_camera_object[:3, 3]
+    center = (cell + 0.5) * voxel_size
+    return T_camera_object[:3, :3] @ center + T_camera_object[:3, 3]
 
 
 def _pixel(camera: Camera, point: Floats) -> tuple[int, int] | None:

@@ -144,10 +144,10 @@ def associated(
 
 
 def normal_equations(
-    rows: Doubles, lumas: Doubles, sigmas: Doubles, centre: Doubles, exposure: Doubles, scales: Doubles, bound: float
+    rows: Doubles, lumas: Doubles, sigmas: Doubles, center: Doubles, exposure: Doubles, scales: Doubles, bound: float
 ) -> tuple[Doubles, Doubles]:
     """Matrix (8, 8) and right side (8,) of the weighted equations, built as whole arrays."""
-    arms = rows[:, :3] - centre
+    arms = rows[:, :3] - center
     depth = np.column_stack([np.cross(arms, rows[:, 3:6]), rows[:, 3:6], np.zeros((len(rows), 2))])
     level = lumas - 128
     luma = np.column_stack([np.cross(arms, rows[:, 7:10]), rows[:, 7:10], -level, -np.ones(len(rows))])

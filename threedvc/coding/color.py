@@ -32,10 +32,10 @@ from threedvc.kernels.coding.color_transform import (
 from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 from threedvc.kernels.coding.octree import BIT_COUNTS
 
-__all__ = ["LEAST_STEP", "MAX_STEP", "ColorSettings", "code_cell_colors"]
+__all__ = ["MAX_STEP", "MIN_STEP", "ColorSettings", "code_cell_colors"]
 
 STEP_BITS = 4
-LEAST_STEP, MAX_STEP = 2**-STEP_BITS, 255.0
+MIN_STEP, MAX_STEP = 2**-STEP_BITS, 255.0
 BYTES_PER_COEFFICIENT = 64
 PRICE = 30
 MIDDLE_GREY = 128 << FRACTION_BITS
@@ -59,8 +59,8 @@ class ColorSettings:
 
     def __post_init__(self) -> None:
         for step in (self.luma_step, self.chroma_step):
-            if not LEAST_STEP <= step <= MAX_STEP:
-                raise ConfigError(f"colour step {step} must be within {LEAST_STEP}..{MAX_STEP}")
+            if not MIN_STEP <= step <= MAX_STEP:
+                raise ConfigError(f"colour step {step} must be within {MIN_STEP}..{MAX_STEP}")
 
     @property
     def channels(self) -> int:

@@ -42,7 +42,7 @@ class PoseCoder:
         self._recent = np.zeros(RECENT_SIZE, dtype=np.int64)
         self.decoded: NDArray[np.float64] = np.empty((0, 4, 4))
 
-    def hold(self) -> None:
+    def reset_velocity(self) -> None:
         """Note that frames passed without motion: the velocity becomes zero."""
         self._state[1] = self._state[0]
 

@@ -18,7 +18,7 @@ PRICE = 0.003
 """What a bit may save, in squared cells; a level of 2 bits is wrong by 0.005 on an average."""
 
 
-def encode_relief(model: DecodedModel, crossings: NDArray[np.float32]) -> bytes:
+def encode_relief(model: DecodedModel, subvoxel_offsets: NDArray[np.float32]) -> bytes:
     """Encode the relief of the cells of an object that have none, and give it to them.
 
     Parameters
@@ -27,7 +27,7 @@ def encode_relief(model: DecodedModel, crossings: NDArray[np.float32]) -> bytes:
         The object as the decoder has it; changed.
     crossings
         (n, 3) where the surface passes along each axis from the centres of its untold cells, in cells, see
-        `DecodedModel.untold_cells`; at least one.
+        `DecodedModel.cells_without_offset`; at least one.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def encode_relief(model: DecodedModel, crossings: NDArray[np.float32]) -> bytes:
         For `decode_relief`.
     """
     writer = RangeWriter()
-    model.shape(*_code(writer, model, crossings))
+    model.shape(*_code(writer, model, subvoxel_offsets))
     return writer.finish()
 
 
@@ -54,12 +54,12 @@ def decode_relief(payload: bytes, model: DecodedModel) -> None:
 
 
 def _code(
-    coder: RangeCoder, model: DecodedModel, crossings: NDArray[np.float32] | None
+    coder: RangeCoder, model: DecodedModel, subvoxel_offsets: NDArray[np.float32] | None
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
     """Return where the untold cells are in the model, and their relief."""
     model.fit_planes()
-    cells, positions = model.untold_cells()
-    wishes = np.zeros((len(cells), 3), dtype=np.float32) if crossings is None else crossings
+    cells, positions = model.cells_without_offset()
+    wishes = np.zeros((len(cells), 3), dtype=np.float32) if subvoxel_offsets is None else subvoxel_offsets
     coder.reserve(BYTES_PER_CELL * len(cells))
     relief = model.relief.copy()
     job = ReliefCells(

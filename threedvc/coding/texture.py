@@ -27,7 +27,7 @@ def encode_texture(
     model
         The object as the decoder has it.
     texels
-        (n, 3) int32 its bare texels, see `DecodedModel.bare_texels`; at least one.
+        (n, 3) int32 its bare texels, see `DecodedModel.uncolored_texels`; at least one.
     colors
         (n, 3) int16 RGB.
     settings

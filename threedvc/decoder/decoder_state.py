@@ -17,7 +17,7 @@ from threedvc.errors import CorruptStream
 from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.post_filter import PostFilter
-from threedvc.render.picture import Backdrop, Light
+from threedvc.render.picture import BackgroundImage, Light
 from threedvc.stream.headers import ObjectHeader, SensorHeader, SensorRunHeader, StreamHeader
 from threedvc.stream.sensor_order import Cycle, SensorSchedule
 
@@ -80,7 +80,7 @@ class DecoderState:
         self.frame_count = self.frame_set_count = 0
         self.run_ends: dict[str, int] = {}
         self._new_background_image: NDArray[np.uint8] | None = None
-        self._backdrop: Backdrop | None = None
+        self._backdrop: BackgroundImage | None = None
         self._filters: PostFilter | None = None
 
     def _new_pose_coder(self) -> PoseCoder:
@@ -185,12 +185,12 @@ class DecoderState:
         self.frame_count += 1
         self.frame_set_count += not synchronised
 
-    def _placed_backdrop(self, T_rig_world: Pose) -> Backdrop | None:
+    def _placed_backdrop(self, T_rig_world: Pose) -> BackgroundImage | None:
         """Return the backdrop; a new one is seen from the colour camera of the first sensor."""
         if self._new_background_image is not None:
             first = self.sensors[0]
             T_color_rig = compose(first.rig.T_color_depth, first.shift)
-            self._backdrop = Backdrop(
+            self._backdrop = BackgroundImage(
                 picture=self._new_background_image,
                 camera=first.rig.color,
                 T_camera_world=compose(T_color_rig, T_rig_world),

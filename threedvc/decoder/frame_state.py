@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.model.post_filter import PostFilter
 from threedvc.render.captured_depth import CapturedDepth
-from threedvc.render.picture import Backdrop, Light
+from threedvc.render.picture import BackgroundImage, Light
 
 __all__ = ["FrameState", "camera_poses"]
 
@@ -58,7 +58,7 @@ class FrameState:
     T_camera_object: Mapping[int, Pose]
     T_shifted_camera: Pose
     gain: NDArray[np.int64]
-    backdrop: Backdrop | None
+    backdrop: BackgroundImage | None
     lights: Mapping[int, Light]
     filters: PostFilter | None
     captured_depth: CapturedDepth | None

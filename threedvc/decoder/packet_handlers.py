@@ -126,7 +126,7 @@ def _apply_relief(state: DecoderState, number: int, payload: bytes) -> None:
     model = state.object(number).model
     if not model.relief_bits:
         raise CorruptStream(f"a RELIEF names object {number}, which has none")
-    if not len(model.untold_cells()[0]):
+    if not len(model.cells_without_offset()[0]):
         raise CorruptStream(f"a RELIEF of object {number} comes when all its cells have one")
     decode_relief(payload, model)
 
@@ -141,7 +141,7 @@ def _apply_texture(state: DecoderState, number: int, payload: bytes) -> None:
     model = state.object(number).model
     if model.texture is None:
         raise CorruptStream(f"a TEXTURE names object {number}, which has none")
-    texels = model.bare_texels()
+    texels = model.uncolored_texels()
     if not len(texels):
         raise CorruptStream(f"a TEXTURE of object {number} comes when all its cells have one")
     model.texture.paint(texels, decode_texture(payload, model, texels))
@@ -175,7 +175,7 @@ def _shifts(state: DecoderState, timeline: BatchTimeline, header: ShiftHeader, p
 def _decoded_poses(coder: PoseCoder, run: RunFrames, payload: bytes) -> Iterator[tuple[int, Pose]]:
     """Decode the poses of a run, with their frames; between runs what they place stands still."""
     if not run.follows:
-        coder.hold()
+        coder.reset_velocity()
     return zip(run.frames, coder.decode(payload, len(run.frames)), strict=True)
 
 

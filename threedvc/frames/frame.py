@@ -54,7 +54,7 @@ class Frame:
     T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
     color_timestamp_ns: int | None = None
     sensor: int = 0
-    together: bool = False
+    synchronised: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -32,10 +32,10 @@ class _Place:
     sensor: int
     number: int
     time_ns: int
-    together: bool
+    synchronised: bool
 
 
-class _Course:
+class PoseTimeline:
     """Poses of something at some times."""
 
     def __init__(self) -> None:
@@ -152,26 +152,26 @@ class MergedSequence:
             T_world_camera=T_world_camera,
             T_camera_object=poses,
             sensor=place.sensor,
-            together=place.together,
+            synchronised=place.synchronised,
         )
 
-    def _courses(self) -> tuple[_Course | None, Mapping[int, _Course]]:
+    def _courses(self) -> tuple[PoseTimeline | None, Mapping[int, PoseTimeline]]:
         """Return the poses T_world_base and, by number, T_base_object; each of the first sensor that gives them."""
-        camera: _Course | None = None
-        objects: dict[int, _Course] = {}
+        camera: PoseTimeline | None = None
+        objects: dict[int, PoseTimeline] = {}
         for sensor, sequence in enumerate(self._sequences):
             info, rig = sequence.info, self._info.rigs[sensor]
             gives = info.has_camera_poses and camera is None
             if not gives and not info.has_object_poses:
                 continue
-            camera = _Course() if gives else camera
-            own: dict[int, _Course] = {}
+            camera = PoseTimeline() if gives else camera
+            own: dict[int, PoseTimeline] = {}
             for one in self._facts[sensor]:
                 time = one.timestamp_ns + self._delays[sensor]
                 if gives and camera is not None and one.T_world_camera is not None:
                     camera.add(time, compose(one.T_world_camera, rig.T_depth_base))
                 for label, pose in one.T_camera_object.items():
-                    own.setdefault(label, _Course()).add(time, rig.at_base(pose))
+                    own.setdefault(label, PoseTimeline()).add(time, rig.at_base(pose))
             objects = own | objects
         return camera, objects
 
@@ -186,9 +186,9 @@ def _ordered(times_ns: Sequence[Sequence[int]]) -> list[_Place]:
     places: list[_Place] = []
     moment, there = 0, set[int]()
     for time, sensor, number in sorted(frames):
-        together = bool(places) and time - moment <= TOGETHER_NS and sensor not in there
-        if not together:
+        synchronised = bool(places) and time - moment <= TOGETHER_NS and sensor not in there
+        if not synchronised:
             moment, there = time, set()
         there.add(sensor)
-        places.append(_Place(sensor, number, times_ns[sensor][number], together))
+        places.append(_Place(sensor, number, times_ns[sensor][number], synchronised))
     return places

@@ -12,9 +12,17 @@ import numpy as np
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.pose import Pose
 
-__all__ = ["FactualSequence", "FrameFacts", "FrameSequence", "ThinnedSequence", "facts_of", "moments", "spread_step"]
+__all__ = [
+    "DownsampledSequence",
+    "FactualSequence",
+    "FrameFacts",
+    "FrameSequence",
+    "facts_of",
+    "frame_sets",
+    "sampling_stride",
+]
 
-LEAST_UNEVEN_STEP = 7
+MIN_UNEVEN_STEP = 7
 
 
 class FrameSequence(Protocol):
@@ -32,14 +40,14 @@ class FrameSequence(Protocol):
     def __iter__(self) -> Iterator[Frame]: ...
 
 
-def moments(frames: Iterable[Frame], info: SequenceInfo) -> Iterator[list[Frame]]:
+def frame_sets(frames: Iterable[Frame], info: SequenceInfo) -> Iterator[list[Frame]]:
     """Yield the frames of each moment: one, or those that several sensors took together."""
     if not info.sensors:
         yield from ([frame] for frame in frames)
         return
     moment: list[Frame] = []
     for frame in frames:
-        if moment and not frame.together:
+        if moment and not frame.synchronised:
             yield moment
             moment = []
         moment.append(frame)
@@ -47,7 +55,7 @@ def moments(frames: Iterable[Frame], info: SequenceInfo) -> Iterator[list[Frame]
         yield moment
 
 
-def spread_step(count: int, most: int, info: SequenceInfo) -> int:
+def sampling_stride(count: int, most: int, info: SequenceInfo) -> int:
     """Return n such that every n-th of `count` frames is at most `most` of them, and all sensors are among them.
 
     Sensors take turns in some short cycle; a prime that is longer than usual cycles meets all of them.
@@ -55,7 +63,7 @@ def spread_step(count: int, most: int, info: SequenceInfo) -> int:
     step = max(1, -(-count // most))
     if step == 1 or not info.sensors:
         return step
-    step = max(step, LEAST_UNEVEN_STEP)
+    step = max(step, MIN_UNEVEN_STEP)
     while any(step % divisor == 0 for divisor in range(2, int(step**0.5) + 1)):
         step += 1
     return step
@@ -97,7 +105,7 @@ def facts_of(frames: FrameSequence) -> Sequence[FrameFacts]:
     return [replace(frame, color=unseen, depth=unseen.astype(np.float32), mask=None) for frame in frames]
 
 
-class ThinnedSequence:
+class DownsampledSequence:
     """Every n-th frame of a sequence, numbered through.
 
     Parameters
@@ -121,7 +129,7 @@ class ThinnedSequence:
 
     def __getitem__(self, index: int) -> Frame:
         frame = self._frames[index * self._step]
-        return replace(frame, index=index, together=frame.together and self._step == 1)
+        return replace(frame, index=index, synchronised=frame.synchronised and self._step == 1)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))

@@ -10,9 +10,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DepthErrors", "depth_units", "mean_misfit"]
+__all__ = ["DepthErrors", "depth_units", "geman_mcclure_error"]
 
-MISFIT_SCALE = 0.01
+ERROR_SCALE = 0.01
 
 MAX_DEPTH_UNITS = 65534
 INVALID_UNITS = 65535
@@ -21,7 +21,7 @@ NEAR_MM = 10.0
 ROUNDING_MM = 5e-7
 
 
-def mean_misfit(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> float:
+def geman_mcclure_error(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> float:
     """Return how badly depths meet measurements, from 0 for exactly to 1, on an average over pairs of pictures.
 
     One per cent off counts a half. Pixels (n,) without the one or the other, 0, do not count.
@@ -31,7 +31,7 @@ def mean_misfit(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32
         seen = (found > 0) & (measured > 0)
         if seen.any():
             squares = (found[seen] / measured[seen] - 1) ** 2
-            misfits.append(float(np.mean(squares / (squares + MISFIT_SCALE**2))))
+            misfits.append(float(np.mean(squares / (squares + ERROR_SCALE**2))))
     return float(np.mean(misfits)) if misfits else 0.0
 
 

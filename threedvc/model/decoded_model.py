@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import CorruptStream
-from threedvc.kernels.coding.relief import UNTOLD
+from threedvc.kernels.coding.relief import UNSET
 from threedvc.kernels.render.render_blocks import fit_planes
 from threedvc.model.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex
 from threedvc.model.model_update import ModelUpdate
@@ -111,16 +111,16 @@ class DecodedModel:
         occupied[added] = 1
         color[added] = update.added_colors
         color[recolored] = update.recolored_colors
-        self.relief.reshape(-1)[removed] = UNTOLD
+        self.relief.reshape(-1)[removed] = UNSET
         self.cell_count += len(added) - len(removed)
         self._note_change(np.concatenate([added, removed, recolored]))
         if self.texture is not None:
             self.texture.erase(np.concatenate([update.removed, update.recolored]))
 
-    def untold_cells(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def cells_without_offset(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return the occupied cells (n, 3), in Morton order, without a relief yet, and where they are in the arrays."""
         cells, positions = self.index.flagged(self.occupied[: self.index.count])
-        untold = self.relief.reshape(-1)[positions] == UNTOLD
+        untold = self.relief.reshape(-1)[positions] == UNSET
         return cells[untold], positions[untold]
 
     def shape(self, positions: NDArray[np.int64], relief: NDArray[np.uint8]) -> None:
@@ -148,7 +148,7 @@ class DecodedModel:
 
         for_ranges(plane_range, len(numbers), threads)
 
-    def bare_texels(self) -> NDArray[np.int32]:
+    def uncolored_texels(self) -> NDArray[np.int32]:
         """Return the texels (n, 3), in Morton order, of the occupied cells that have none with a colour yet.
 
         Which texels a cell has depends on the cells around it at this moment.

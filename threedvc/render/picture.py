@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
 
-__all__ = ["Backdrop", "Light", "Picture"]
+__all__ = ["BackgroundImage", "Light", "Picture"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Backdrop:
+class BackgroundImage:
     """A picture that colours the background.
 
     Attributes

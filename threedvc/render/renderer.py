@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from threedvc.config import RenderConfig
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity
-from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centres, interpolate_diamonds
+from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centers, interpolate_diamonds
 from threedvc.kernels.render.raycast import OPACITY, CastBlocks, Tiles, cast_rays
 from threedvc.model.post_filter import PostFilter, classify_pixels
 from threedvc.parallel import for_ranges
-from threedvc.render.picture import Backdrop, Light, Picture
+from threedvc.render.picture import BackgroundImage, Light, Picture
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
 from threedvc.render.render_model import RenderModel
 from threedvc.render.shading import Gain, Hits, first_rays, pixel_colors, shaded_rays
@@ -31,7 +31,7 @@ SMALL_PICTURE = 320 * 240
 """Pixels of a picture that is drawn with four rays each: what is small looks coarse without."""
 INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
     1: (interpolate_diamonds, 4, 4),
-    2: (interpolate_centres, 2, 4),
+    2: (interpolate_centers, 2, 4),
     3: (interpolate_diamonds, 2, 2),
     4: (interpolate_between, 1, 2),
 }
@@ -66,7 +66,7 @@ class Renderer:
         color: bool = True,
         gain: Gain | None = None,
         T_shifted_camera: Pose | None = None,
-        backdrop: Backdrop | None = None,
+        backdrop: BackgroundImage | None = None,
         lights: Mapping[int, Light] | None = None,
         filters: PostFilter | None = None,
     ) -> Picture:
@@ -127,7 +127,7 @@ class Renderer:
         hits: Hits,
         models: Mapping[int, RenderModel],
         poses: Mapping[int, Pose],
-        backdrop: Backdrop | None,
+        backdrop: BackgroundImage | None,
         lights: Mapping[int, Light],
         gain: Gain | None,
     ) -> NDArray[np.uint8]:

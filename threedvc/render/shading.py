@@ -16,7 +16,7 @@ from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.texture import ColorGrid
 from threedvc.parallel import for_ranges
 from threedvc.render.hole_filling import fill_unknown
-from threedvc.render.picture import Backdrop, Light
+from threedvc.render.picture import BackgroundImage, Light
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
 from threedvc.render.render_model import RenderModel
 
@@ -36,7 +36,7 @@ def shaded_rays(
     hits: Hits,
     models: Mapping[int, RenderModel],
     poses: Mapping[int, Pose],
-    backdrop: Backdrop | None,
+    backdrop: BackgroundImage | None,
     lights: Mapping[int, Light],
     threads: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -97,7 +97,7 @@ def _shade_background(
     rays: RayGrid,
     hits: Hits,
     T_camera_world: Pose,
-    backdrop: Backdrop,
+    backdrop: BackgroundImage,
     color: NDArray[np.float32],
     known: NDArray[np.uint8],
     threads: int,

@@ -246,14 +246,14 @@ def _facing(normal: tuple[float, float, float]) -> NDArray[np.float64]:
 
 def _hung(
     texture: Texture,
-    centre: tuple[float, float, float],
+    center: tuple[float, float, float],
     normal: tuple[float, float, float],
     size_m: tuple[float, float] | None = None,
 ) -> tuple[Part]:
     """Return a thin sheet in front of a wall; without a size it has that of its picture."""
     width, height = size_m or texture.scale_m
     thickness = 0.012
-    middle = np.array(centre) + 0.5 * thickness * np.array(normal)
+    middle = np.array(center) + 0.5 * thickness * np.array(normal)
     return (Part(shape=box(width, height, thickness), texture=texture, T_body_part=make_pose(_facing(normal), middle)),)
 
 
@@ -276,8 +276,8 @@ def _shell(
         ((mx, my, height), (0, 0, -1), dx, dy, textures.plain((226, 224, 216), 0.1)),
     )
     return tuple(
-        Part(shape=rectangle(width, tall), texture=texture, T_body_part=at(*centre, _facing(normal)))
-        for centre, normal, width, tall, texture in faces
+        Part(shape=rectangle(width, tall), texture=texture, T_body_part=at(*center, _facing(normal)))
+        for center, normal, width, tall, texture in faces
     )
 
 
@@ -285,7 +285,7 @@ def _toy(
     label: int,
     parts: tuple[Part, ...],
     T_world_camera: Pose,
-    centre: tuple[float, float, float],
+    center: tuple[float, float, float],
     sweep_m: float,
     start: float,
     phase: NDArray[np.float64],
@@ -293,7 +293,7 @@ def _toy(
     rng: np.random.Generator,
 ) -> Body:
     """Return a body that sweeps from side to side at its own distance and turns `spin` times per period."""
-    place = np.array(centre) + harmonics(phase, np.array([[0.02, 0.05, 0.04], [0.01, 0.03, 0.01]]), rng)
+    place = np.array(center) + harmonics(phase, np.array([[0.02, 0.05, 0.04], [0.01, 0.03, 0.01]]), rng)
     place[:, 0] += sweep_m * np.sin(2 * np.pi * phase + start)
     tilt = harmonics(phase, np.array([[0.30, 0.30, 0.10], [0.10, 0.10, 0.10]]), rng)
     yaw = 2 * np.pi * spin * phase + start

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from threedvc.geometry.pose import Pose, make_pose
 from threedvc.kernels.encoder.exploration import flood_cells
-from threedvc.view_planning.occupancy_field import EntropyField, widened
+from threedvc.view_planning.occupancy_field import OccupancyField, widened
 
 __all__ = ["look_along", "reachable_places", "reachable_views", "upward", "views_around"]
 
 SEED = 1995
 STEEPEST = np.pi / 4
 GOLDEN_TURN = np.pi * (3 - np.sqrt(5))
-LEAST_UP = 0.1
+MIN_UP = 0.1
 
 
 def look_along(eye: NDArray[np.float64], way: NDArray[np.float64], up: NDArray[np.float64]) -> Pose:
@@ -41,22 +41,22 @@ def upward(recorded: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean direction (3,) that views (n, 4, 4), poses T_field_camera, show as up; the last one's if none."""
     up = -recorded[:, :3, 1].mean(axis=0)
     length = float(np.linalg.norm(up))
-    return np.asarray(up / length if length > LEAST_UP else -recorded[-1, :3, 1])
+    return np.asarray(up / length if length > MIN_UP else -recorded[-1, :3, 1])
 
 
 def views_around(
-    centre: NDArray[np.float64], distance_m: float, up: NDArray[np.float64], count: int
+    center: NDArray[np.float64], distance_m: float, up: NDArray[np.float64], count: int
 ) -> NDArray[np.float64]:
     """Return views (count, 4, 4) of a point (3,) from one distance and evenly spread directions (a spiral)."""
     steps = np.arange(count)
     height = 1 - (2 * steps + 1) / count
     turn, radius = GOLDEN_TURN * steps, np.sqrt(1 - height * height)
     ways = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
-    return np.stack([look_along(centre + distance_m * way, -way, up) for way in ways])
+    return np.stack([look_along(center + distance_m * way, -way, up) for way in ways])
 
 
 def reachable_views(
-    field: EntropyField, recorded: NDArray[np.float64], clearance_m: float, count: int
+    field: OccupancyField, recorded: NDArray[np.float64], clearance_m: float, count: int
 ) -> NDArray[np.float64]:
     """Return views from where a camera can go, every second one of a border of what was seen, the others any way.
 
@@ -83,7 +83,7 @@ def reachable_views(
     level = np.cross(up, R[:, 0])
     flat = np.sin(yaw)[:, None] * R[:, 0] - np.cos(yaw)[:, None] * level
     ways = np.cos(pitch)[:, None] * flat + np.sin(pitch)[:, None] * up
-    borders = field.centres(field.border())
+    borders = field.centers(field.border())
     if len(borders):
         aims = borders[rng.choice(len(borders), count)] - eyes
         distances = np.linalg.norm(aims, axis=1)
@@ -92,7 +92,7 @@ def reachable_views(
     return np.stack([look_along(eye, way, up) for eye, way in zip(eyes, ways, strict=True)])
 
 
-def reachable_places(field: EntropyField, recorded: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
+def reachable_places(field: OccupancyField, recorded: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
     """Return places (m, 3) in metres: those where the camera was (n, 3), and where it could go from there.
 
     The way leads through cells known to be free, away from what is occupied.
@@ -103,4 +103,4 @@ def reachable_places(field: EntropyField, recorded: NDArray[np.float64], clearan
     queue[: len(starts)] = starts
     reached.reshape(-1)[starts] = 1
     count = flood_cells(passable, queue, len(starts), reached)
-    return np.concatenate([recorded, field.centres(queue[len(starts) : count])])
+    return np.concatenate([recorded, field.centers(queue[len(starts) : count])])

@@ -19,7 +19,7 @@ from threedvc.kernels.encoder.exploration import observe_depth
 from threedvc.metrics.entropy import bernoulli_entropy_bits
 from threedvc.parallel import default_threads, for_ranges
 
-__all__ = ["EntropyField", "widened"]
+__all__ = ["OccupancyField", "widened"]
 
 MAX_CELLS = 1 << 20
 MAX_LOG_ODDS = 8.0
@@ -46,7 +46,7 @@ def _sides(extent: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
     return np.maximum(np.ceil(extent / cell_m - 1e-9), 1)
 
 
-class EntropyField:
+class OccupancyField:
     """Log-odds of occupancy of the cells of a box; 0, which is one bit of entropy, where nothing was seen.
 
     Parameters
@@ -131,7 +131,7 @@ class EntropyField:
         inside = np.all((cells >= 0) & (cells < self.log_odds.shape), axis=1)
         return np.unique(np.ravel_multi_index(tuple(cells[inside].T), self.log_odds.shape))
 
-    def centres(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+    def centers(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the centres (n, 3) in metres of cells of given numbers (n,)."""
         cells = np.stack(np.unravel_index(numbers, self.log_odds.shape), axis=-1)
         return self.origin_m + (cells + 0.5) * self.cell_m

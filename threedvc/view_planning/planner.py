@@ -59,7 +59,7 @@ def propose(targets: Sequence[Target], best: int, threads: int) -> tuple[list[Pr
     in_sight
         Bits that all candidates together could take away, of each target.
     """
-    balances = [_Balance(target, threads) for target in targets]
+    balances = [CandidateGains(target, threads) for target in targets]
     proposals: list[Proposal] = []
     while len(proposals) < best:
         balance = max(balances, key=lambda each: each.best_gain)
@@ -69,7 +69,7 @@ def propose(targets: Sequence[Target], best: int, threads: int) -> tuple[list[Pr
     return proposals, [balance.in_sight_bits for balance in balances]
 
 
-class _Balance:
+class CandidateGains:
     """Entropy of a target, and what its candidates would take of it beyond what chosen ones do."""
 
     def __init__(self, target: Target, threads: int) -> None:

@@ -24,11 +24,11 @@ from threedvc.geometry.pose import Pose, compose, identity, inverse
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.render.renderer import Renderer
 from threedvc.view_planning.candidate_views import reachable_views, upward, views_around
-from threedvc.view_planning.occupancy_field import EntropyField
+from threedvc.view_planning.occupancy_field import OccupancyField
 
 __all__ = ["DrawnFrame", "Sight", "Target", "draw_frames", "targets_of", "thinned"]
 
-MOST_FRAMES = 48
+MAX_FRAMES = 48
 PICTURE_SIDE = 160
 RAYS = 4800
 CLEARANCE_M = 0.2
@@ -114,14 +114,14 @@ class Target:
     """
 
     number: int
-    field: EntropyField
+    field: OccupancyField
     recorded: NDArray[np.float64]
     candidates: NDArray[np.float64]
     T_world_field: Pose
     sight: Sight
 
 
-def thinned(states: Iterable[FrameState], most: int = MOST_FRAMES) -> list[FrameState]:
+def thinned(states: Iterable[FrameState], most: int = MAX_FRAMES) -> list[FrameState]:
     """Return frames at equal steps, at least `most` and fewer than twice as many if there are enough, and the last."""
     kept: list[FrameState] = []
     step, last = 1, None
@@ -268,7 +268,7 @@ def _world(
     )
     places = recorded[:, :3, 3]
     low, high = _box(surface)
-    field = EntropyField(
+    field = OccupancyField(
         np.minimum(low, places.min(axis=0)) - scale_m / 2,
         np.maximum(high, places.max(axis=0)) + scale_m / 2,
         finest_m=max(sight.spacing * scale_m, *(model.voxel_size_m for model in resting.values())),
@@ -298,13 +298,13 @@ def _object(
     recorded = np.stack([inverse(frame.state.T_camera_object[number]) for frame in showing])
     surface = _points(model)
     low, high = _box(surface)
-    centre, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    usual_m = float(np.median(np.linalg.norm(recorded[:, :3, 3] - centre, axis=1)))
+    center, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    usual_m = float(np.median(np.linalg.norm(recorded[:, :3, 3] - center, axis=1)))
     distance_m = max(usual_m, sight.distance_m(radius_m))
     sight = replace(sight, reach_m=min(sight.sensor.reach_m, max(sight.reach_m, distance_m + radius_m)))
     finest_m = max(sight.spacing * distance_m, model.voxel_size_m)
     margin_m = MARGIN_CELLS * finest_m
-    field = EntropyField(
+    field = OccupancyField(
         low - margin_m, high + margin_m, finest_m=finest_m, half_m=radius_m / 4 + finest_m, threads=config.threads
     )
     _observe(field, [number], showing, recorded, sight)
@@ -314,14 +314,14 @@ def _object(
         number=number,
         field=field,
         recorded=recorded,
-        candidates=views_around(centre, distance_m, upward(recorded), config.candidates),
+        candidates=views_around(center, distance_m, upward(recorded), config.candidates),
         T_world_field=compose(last.T_world_camera, last.T_camera_object[number]),
         sight=sight,
     )
 
 
 def _observe(
-    field: EntropyField,
+    field: OccupancyField,
     members: Sequence[int],
     frames: Sequence[DrawnFrame],
     recorded: NDArray[np.float64],

@@ -14,7 +14,7 @@ from threedvc.cli.main import main as command
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import identity, make_pose
 from threedvc.stream.pose_status import PoseStatus
-from tracking import DISTURBANCES, Course
+from tracking import DISTURBANCES, StreamTimeline
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_disturbances(frames: list[Frame]) -> None:
 
 def test_row() -> None:
     shifted = make_pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
-    course = Course(
+    course = StreamTimeline(
         status=[PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.LOST],
         camera=[(identity(), shifted), (shifted, shifted @ shifted)],
         numbers=[0, 1],
@@ -46,7 +46,7 @@ def test_row() -> None:
     assert course.row("desk", "black") == [
         "desk", "black", "3", "1", "1", "0", "1", "0.0", "0.0", "0.000", "0.00", "0.00", "6.0", "2.0"
     ]  # fmt: skip
-    assert Course(status=[PoseStatus.TRACKED], tracking_s=1, seconds=1).row("a", "")[7:12] == ["-"] * 5
+    assert StreamTimeline(status=[PoseStatus.TRACKED], tracking_s=1, seconds=1).row("a", "")[7:12] == ["-"] * 5
 
 
 def test_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

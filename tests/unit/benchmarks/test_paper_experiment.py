@@ -31,12 +31,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def one_sphere(x: float, y: float, z: float, level: float = 200.0) -> Spheres:
-    return Spheres(centres=np.array([[x, y, z]]), radii=np.array([0.1]), colors=np.full((1, 3), level))
+    return Spheres(centers=np.array([[x, y, z]]), radii=np.array([0.1]), colors=np.full((1, 3), level))
 
 
 def both(first: Spheres, second: Spheres) -> Spheres:
     return Spheres(
-        centres=np.vstack([first.centres, second.centres]),
+        centers=np.vstack([first.centers, second.centers]),
         radii=np.append(first.radii, second.radii),
         colors=np.vstack([first.colors, second.colors]),
     )
@@ -111,7 +111,7 @@ class TestSpheres:
     def test_radius_grows_with_probability_from_nothing(self) -> None:
         cells = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], dtype=np.int32)
         made = spheres_of_cells(cells, np.array([0.4, 0.6, 0.9, 1.0]), np.zeros((4, 3)), 0.01)
-        np.testing.assert_allclose(made.centres[:, 0], [0.015, 0.025, 0.035])
+        np.testing.assert_allclose(made.centers[:, 0], [0.015, 0.025, 0.035])
         assert np.all(np.diff(made.radii) > 0)
         assert made.radii[-1] == pytest.approx(0.0062)
 

@@ -23,7 +23,7 @@ from threedvc.cli.options import (
     segmentation,
 )
 from threedvc.cli.progress import Progress
-from threedvc.config import Focus, SegmentationConfig, SegmentationMode
+from threedvc.config import RegionOfInterest, SegmentationConfig, SegmentationMode
 from threedvc.errors import ConfigError, OutputError
 from threedvc.formats.outputs import write_output
 
@@ -52,8 +52,8 @@ FOCUS_FORM = "{!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 
         (picture_size, "640x480", (640, 480)),
         (decoded_outputs, "depth,color", frozenset({"color", "depth"})),
         (object_numbers, "3,1,3", (1, 3)),
-        (focus, "1=4", Focus(weight=4, number=1)),
-        (focus, "-20cm..0.2,0..1m,5mm..2=0.5", Focus(weight=0.5, box_m=(-0.2, 0.2, 0, 1, 0.005, 2))),
+        (focus, "1=4", RegionOfInterest(weight=4, number=1)),
+        (focus, "-20cm..0.2,0..1m,5mm..2=0.5", RegionOfInterest(weight=0.5, box_m=(-0.2, 0.2, 0, 1, 0.005, 2))),
         (segmentation, "none", SegmentationConfig(mode=SegmentationMode.NONE)),
         (segmentation, "masks", SegmentationConfig(mode=SegmentationMode.MASKS)),
         (segmentation, "auto", SegmentationConfig()),

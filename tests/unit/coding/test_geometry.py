@@ -44,8 +44,8 @@ def dense_inputs(number: int, node: Cell, child: int, own: set[Cell], side: set[
     places, side_places = nodes_at(own, height), nodes_at(side, height)
     origin = [2 * node[a] + (child >> a & 1) for a in range(3)]
 
-    def mirrored(centre: list[int], step: Cell) -> Cell:
-        x, y, z = (centre[a] + sign[a] * step[a] for a in range(3))
+    def mirrored(center: list[int], step: Cell) -> Cell:
+        x, y, z = (center[a] + sign[a] * step[a] for a in range(3))
         return x, y, z
 
     def known(place: Cell) -> bool:

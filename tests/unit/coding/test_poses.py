@@ -139,8 +139,8 @@ def test_hold_forgets_the_velocity() -> None:
         encoder, decoder = coders()
         decoder.decode(encoder.encode(poses), 30)
         if hold:
-            encoder.hold()
-            decoder.hold()
+            encoder.reset_velocity()
+            decoder.reset_velocity()
         payload = encoder.encode([nudge @ poses[-1]])
         assert np.array_equal(decoder.decode(payload, 1), encoder.decoded)
         sizes.append(len(payload))

@@ -13,7 +13,7 @@ from threedvc.config import RenderConfig
 from threedvc.errors import CorruptStream
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import make_pose
-from threedvc.kernels.coding.relief import FLAT, UNTOLD
+from threedvc.kernels.coding.relief import FLAT, UNSET
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 from threedvc.render.render_model import RenderModel
@@ -55,11 +55,11 @@ def same(one: DecodedModel, other: DecodedModel) -> bool:
 @pytest.mark.parametrize("bits", [1, 2, 3])
 def test_a_relief_passes_through_its_payload(bits: int) -> None:
     sent, got = bare(wall(), bits), bare(wall(), bits)
-    payload = encode_relief(sent, tilted_crossings(sent.untold_cells()[0]))
+    payload = encode_relief(sent, tilted_crossings(sent.cells_without_offset()[0]))
     assert not same(sent, got)
     decode_relief(payload, got)
     assert same(sent, got)
-    assert not len(got.untold_cells()[0])
+    assert not len(got.cells_without_offset()[0])
 
 
 def test_a_relief_that_comes_in_parts_is_the_same_on_both_sides() -> None:
@@ -68,13 +68,13 @@ def test_a_relief_that_comes_in_parts_is_the_same_on_both_sides() -> None:
     for part in (cells[::3], cells[1::3], cells[2::3]):
         for model in (sent, got):
             model.apply(added(part))
-        decode_relief(encode_relief(sent, tilted_crossings(sent.untold_cells()[0])), got)
+        decode_relief(encode_relief(sent, tilted_crossings(sent.cells_without_offset()[0])), got)
         assert same(sent, got)
 
 
 def test_a_relief_on_a_plane_costs_little() -> None:
     model = bare(wall(), 2)
-    payload = encode_relief(model, tilted_crossings(model.untold_cells()[0]))
+    payload = encode_relief(model, tilted_crossings(model.cells_without_offset()[0]))
     assert 8 * len(payload) < 0.8 * model.cell_count
 
 
@@ -94,7 +94,7 @@ def test_surfaces_are_drawn_where_the_relief_says() -> None:
     for bits in (0, 1, 3):
         model = bare(wall(), bits)
         if bits:
-            encode_relief(model, tilted_crossings(model.untold_cells()[0]))
+            encode_relief(model, tilted_crossings(model.cells_without_offset()[0]))
         errors.append(depth_error(model))
     assert errors[1] < 0.7 * errors[0]
     assert errors[2] < 0.12
@@ -109,13 +109,13 @@ def test_a_cell_that_spans_no_plane_has_none() -> None:
 def test_a_cell_that_vanishes_loses_its_relief() -> None:
     cells = wall()
     model = bare(cells, 1)
-    encode_relief(model, tilted_crossings(model.untold_cells()[0]))
+    encode_relief(model, tilted_crossings(model.cells_without_offset()[0]))
     none, some = np.empty((0, 3), dtype=np.int32), cells[5:9]
     colors = np.empty((0, 3), dtype=np.int16)
     model.apply(ModelUpdate(added=none, added_colors=colors, removed=some, recolored=none, recolored_colors=colors))
-    assert np.all(model.relief.reshape(-1)[model.index.locate(some)] == UNTOLD)
+    assert np.all(model.relief.reshape(-1)[model.index.locate(some)] == UNSET)
     model.apply(added(some))
-    np.testing.assert_array_equal(model.untold_cells()[0], some)
+    np.testing.assert_array_equal(model.cells_without_offset()[0], some)
 
 
 def test_a_damaged_payload_is_refused() -> None:

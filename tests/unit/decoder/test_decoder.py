@@ -90,7 +90,7 @@ class Author:
 
     def poses(self, number: int, frame: int, poses: Sequence[Pose]) -> Packet:
         if frame != self.due.get(number, 0):
-            self.coders[number].hold()
+            self.coders[number].reset_velocity()
         self.due[number] = frame + len(poses)
         payload = self.coders[number].encode(poses)
         return PoseHeader(object_id=number, frame=frame, count=len(poses)).packet(payload)

@@ -29,7 +29,7 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES = 8
 LIVE = EncoderConfig(
-    causal=True, group_frames=2, motion=Motion.KNOWN, sensor=Sensor.IDEAL, threads=1,
+    causal=True, batch_frames=2, motion=Motion.KNOWN, sensor=Sensor.IDEAL, threads=1,
     segmentation=SegmentationConfig(mode=SegmentationMode.MASKS),
 )  # fmt: skip
 FILE = replace(LIVE, causal=False, refine=False)

@@ -58,7 +58,7 @@ def test_texels_lie_about_the_plane() -> None:
 @pytest.mark.parametrize("scale", [2, 4])
 def test_colours_pass_through_their_payload(scale: int) -> None:
     model = textured(scale, wall())
-    texels = model.bare_texels()
+    texels = model.uncolored_texels()
     payload, decoded = encode_texture(model, texels, stripes(texels), FINE)
     np.testing.assert_array_equal(decode_texture(payload, model, texels), decoded)
     # The mean of a cell is its own colour; only what its texels differ by is coded.
@@ -69,7 +69,7 @@ def test_colours_pass_through_their_payload(scale: int) -> None:
     assert np.abs(contrast).max() < 8
     assert model.texture is not None
     model.texture.paint(texels, decoded)
-    assert not len(model.bare_texels())
+    assert not len(model.uncolored_texels())
 
 
 def test_a_second_part_is_predicted_from_the_first() -> None:
@@ -81,7 +81,7 @@ def test_a_second_part_is_predicted_from_the_first() -> None:
         if part is not None:
             update = ModelUpdate.adding(part, np.full((len(part), 3), 128, np.int16))
             model.apply(update)
-        texels = model.bare_texels()
+        texels = model.uncolored_texels()
         owners = np.unique(texels // 2, axis=0)
         expected = cells[left] if part is None else part
         np.testing.assert_array_equal(owners, np.unique(expected, axis=0))
@@ -94,7 +94,7 @@ def test_texels_leave_with_their_cells_and_count_in_the_digest() -> None:
     model = textured(2, wall())
     assert model.texture is not None
     before = model.digest()
-    texels = model.bare_texels()
+    texels = model.uncolored_texels()
     model.texture.paint(texels, stripes(texels))
     assert model.digest() != before
     gone = model.cells()[0][:7]
@@ -110,7 +110,7 @@ def test_texels_leave_with_their_cells_and_count_in_the_digest() -> None:
 
 def test_truncated_payloads_are_refused() -> None:
     model = textured(2, wall())
-    texels = model.bare_texels()
+    texels = model.uncolored_texels()
     colors = np.random.default_rng(1).integers(0, 256, (len(texels), 3)).astype(np.int16)
     payload, _ = encode_texture(model, texels, colors, FINE)
     with pytest.raises(CorruptStream):
@@ -124,7 +124,7 @@ def test_texels_are_drawn_finer_than_cells() -> None:
     for scale in (1, 2):
         model = textured(scale, wall())
         if model.texture is not None:
-            texels = model.bare_texels()
+            texels = model.uncolored_texels()
             model.texture.paint(
                 texels, np.repeat(np.where(texels[:, :1] % 2 == 0, 60, 190), 3, axis=1).astype(np.int16)
             )

@@ -241,9 +241,9 @@ def test_the_view_is_free(ball_cells: NDArray[np.int32], wall_cells: NDArray[np.
 def random_update(rng: np.random.Generator, model: DecodedModel) -> ModelUpdate:
     cells, _ = model.cells()
     known = {tuple(cell) for cell in cells.tolist()}
-    centre = rng.integers(-12, 12, 3)
+    center = rng.integers(-12, 12, 3)
     fresh = [
-        cell for cell in np.unique(centre + rng.integers(-4, 5, (80, 3)), axis=0).tolist() if tuple(cell) not in known
+        cell for cell in np.unique(center + rng.integers(-4, 5, (80, 3)), axis=0).tolist() if tuple(cell) not in known
     ]
     removed = cells[rng.random(len(cells)) < 0.1]
     kept = cells[(cells[:, None] != removed[None]).any(axis=2).all(axis=1)] if len(removed) else cells

@@ -10,14 +10,14 @@ from reference.exploration import flooded
 from threedvc.geometry.pose import identity, is_rigid
 from threedvc.kernels.encoder.exploration import flood_cells
 from threedvc.view_planning.candidate_views import look_along, reachable_places, reachable_views, upward, views_around
-from threedvc.view_planning.occupancy_field import EntropyField
+from threedvc.view_planning.occupancy_field import OccupancyField
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def rooms(door: bool) -> EntropyField:
+def rooms(door: bool) -> OccupancyField:
     """Return two free rooms of 2 x 2 x 2 m on either side of a wall, which has a door or none."""
-    field = EntropyField(np.zeros(3), np.array([4.2, 2.0, 2.0]), finest_m=0.1, half_m=0.5)
+    field = OccupancyField(np.zeros(3), np.array([4.2, 2.0, 2.0]), finest_m=0.1, half_m=0.5)
     field.log_odds[...] = -4
     field.log_odds[20:22] = 4
     if door:
@@ -46,10 +46,10 @@ def test_upward_is_what_pictures_show_so() -> None:
 
 
 def test_views_around_see_a_point_from_everywhere() -> None:
-    centre = np.array([1.0, -2.0, 0.5])
-    views = views_around(centre, 0.8, UP, 60)
+    center = np.array([1.0, -2.0, 0.5])
+    views = views_around(center, 0.8, UP, 60)
     assert all(is_rigid(view) for view in views)
-    assert np.allclose(views[:, :3, 3] + 0.8 * views[:, :3, 2], centre)
+    assert np.allclose(views[:, :3, 3] + 0.8 * views[:, :3, 2], center)
     angles = np.arccos(np.clip(views[:, :3, 2] @ views[:, :3, 2].T, -1, 1)) + 9 * np.eye(60)
     assert angles.min(axis=1).max() < 2.5 * angles.min()
 
@@ -81,7 +81,7 @@ def test_places_keep_away_from_what_is_occupied() -> None:
 
 
 def test_where_nothing_is_free_remains_where_the_camera_was() -> None:
-    field = EntropyField(np.zeros(3), np.ones(3), finest_m=0.1, half_m=0.5)
+    field = OccupancyField(np.zeros(3), np.ones(3), finest_m=0.1, half_m=0.5)
     recorded = np.array([[0.5, 0.5, 0.5], [9.0, 9.0, 9.0]])
     assert np.array_equal(reachable_places(field, recorded, 0.2), recorded)
     views = reachable_views(field, np.concatenate([camera_at(0.5, 0.5, 0.5)] * 3), 0.2, 40)

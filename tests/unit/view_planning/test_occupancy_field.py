@@ -12,16 +12,16 @@ from threedvc.encoder.fusion.integration import free_space_log_odds
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, identity, make_pose, rotation_from_vector
-from threedvc.view_planning.occupancy_field import MAX_CELLS, EntropyField, widened
+from threedvc.view_planning.occupancy_field import MAX_CELLS, OccupancyField, widened
 
 CAMERA = Camera(width=24, height=18, fx=20.0, fy=21.0, cx=11.0, cy=9.0)
 KINECT = SENSORS[Sensor.KINECT1]
 EVERYTHING = np.ones((18, 24), dtype=bool)
 
 
-def field_of(cell_m: float = 0.1, threads: int = 1) -> EntropyField:
+def field_of(cell_m: float = 0.1, threads: int = 1) -> OccupancyField:
     """Return a box of 2 x 2 x 3 metres before a camera at the origin."""
-    return EntropyField(
+    return OccupancyField(
         np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 3.0]), finest_m=cell_m, half_m=0.5, threads=threads
     )
 
@@ -34,7 +34,7 @@ def tilted(rng: np.random.Generator) -> Pose:
     return make_pose(rotation_from_vector(rng.normal(0, 0.3, 3)), rng.normal(0, 0.2, 3))
 
 
-def middle(field: EntropyField, depth_m: float) -> float:
+def middle(field: OccupancyField, depth_m: float) -> float:
     """Return the log-odds on the optical axis."""
     cell = np.floor((np.array([0.01, 0.01, depth_m]) - field.origin_m) / field.cell_m).astype(int)
     return float(field.log_odds[tuple(cell)])
@@ -139,7 +139,7 @@ def test_what_the_stream_holds_is_occupied_but_not_sure() -> None:
 def test_where_a_camera_was_is_free() -> None:
     field = field_of()
     field.hold_free(np.array([0.0, 0.0, 0.0]), 0.3, KINECT)
-    free = field.centres(np.flatnonzero(field.free))
+    free = field.centers(np.flatnonzero(field.free))
     assert 20 < len(free) < 100
     assert np.linalg.norm(free, axis=1).max() < 0.3 + 0.1 * np.sqrt(3)
 
@@ -147,8 +147,8 @@ def test_where_a_camera_was_is_free() -> None:
 def test_cells_and_their_centres() -> None:
     field = field_of()
     numbers = np.array([0, 77, 5000, 11999])
-    assert np.array_equal(field.cells_at(field.centres(numbers)), numbers)
-    assert np.array_equal(field.cells_at(np.repeat(field.centres(numbers), 2, axis=0)), numbers)
+    assert np.array_equal(field.cells_at(field.centers(numbers)), numbers)
+    assert np.array_equal(field.cells_at(np.repeat(field.centers(numbers), 2, axis=0)), numbers)
     view = field.cells_from(identity())
     assert np.allclose(view[:, :3] @ [0.5, 0.5, 1.0] + view[:, 3], [15, 15, 10])
 
@@ -164,7 +164,7 @@ def test_border_lies_between_known_and_unknown() -> None:
 
 @pytest.mark.parametrize("extent", [(1.0, 1.0, 1.0), (1e6, 0.01, 0.01), (1e5, 1e5, 1e5), (0.0, 0.0, 0.0)])
 def test_memory_is_bounded(extent: tuple[float, float, float]) -> None:
-    field = EntropyField(np.zeros(3), np.array(extent), finest_m=0.01, half_m=1.0)
+    field = OccupancyField(np.zeros(3), np.array(extent), finest_m=0.01, half_m=1.0)
     assert 0 < field.log_odds.size <= MAX_CELLS
     assert np.all(np.array(field.log_odds.shape) * field.cell_m >= np.array(extent) * (1 - 1e-6))
 

@@ -35,7 +35,7 @@ from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import compose, identity, inverse, make_pose, rotation_from_vector
 from threedvc.kernels.encoder.exploration import look_at_cells
 from threedvc.synthesis import SyntheticSequence, make_scene
-from threedvc.view_planning.occupancy_field import EntropyField
+from threedvc.view_planning.occupancy_field import OccupancyField
 from threedvc.view_planning.planner import propose
 from threedvc.view_planning.targets import Sight, Target, draw_frames, targets_of, thinned
 
@@ -46,15 +46,15 @@ CHOICES = ExplorationConfig(candidates=150, best=2)
 Poses = Sequence[NDArray[np.float64]]
 
 
-def box(cell_m: float = 0.1) -> EntropyField:
-    return EntropyField(-np.ones(3), np.ones(3), finest_m=cell_m, half_m=0.4, threads=1)
+def box(cell_m: float = 0.1) -> OccupancyField:
+    return OccupancyField(-np.ones(3), np.ones(3), finest_m=cell_m, half_m=0.4, threads=1)
 
 
 def random_view(rng: np.random.Generator) -> NDArray[np.float64]:
     return make_pose(rotation_from_vector(rng.normal(0, 1.5, 3)), rng.normal(0, 1, 3))
 
 
-def target_of(field: EntropyField, candidates: Poses, number: int = 0) -> Target:
+def target_of(field: OccupancyField, candidates: Poses, number: int = 0) -> Target:
     return Target(
         number=number,
         field=field,
@@ -73,7 +73,7 @@ def state_at(index: int) -> FrameState:
 
 class TestLooks:
     def test_equal_the_slow_ones(self, rng: np.random.Generator) -> None:
-        field = EntropyField(-np.ones(3), np.array([1.0, 0.6, 0.9]), finest_m=0.2, half_m=0.4, threads=1)
+        field = OccupancyField(-np.ones(3), np.array([1.0, 0.6, 0.9]), finest_m=0.2, half_m=0.4, threads=1)
         field.log_odds[...] = rng.choice([-4, -1, 0, 0, 0.5, 3], field.log_odds.shape)
         views = np.stack([field.cells_from(random_view(rng)) for _ in range(12)])
         entropy, opacity = field.entropy(), field.opacity()
@@ -290,7 +290,7 @@ def target_in(decoder: Decoder, states: list[FrameState], number: int) -> Target
 def entropy_left(decoder: Decoder, states: list[FrameState]) -> float:
     """Return the entropy of the inside of the whole room, in cells that are always the same ones."""
     assert decoder.header is not None
-    field = EntropyField(np.array([-2.3, -2.2, -0.1]), np.array([2.3, 2.0, 2.6]), finest_m=0.1, half_m=0.5)
+    field = OccupancyField(np.array([-2.3, -2.2, -0.1]), np.array([2.3, 2.0, 2.6]), finest_m=0.1, half_m=0.5)
     for frame in draw_frames(decoder.models, decoder.rigs, states, 2):
         T_camera_world = inverse(frame.state.T_world_camera)
         field.observe(frame.depth, frame.depth > 0, frame.camera, T_camera_world, SENSORS[Sensor.IDEAL])

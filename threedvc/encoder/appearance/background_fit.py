@@ -21,9 +21,9 @@ from threedvc.encoder.appearance.background.background_image import BackgroundIm
 from threedvc.encoder.appearance.fit_state import FitState
 from threedvc.encoder.appearance.rate_distortion import weighed_misfit
 from threedvc.encoder.rate.trial_coding import coded_size, color_settings
-from threedvc.encoder.reconstruction.depth_consistency import misfit_frames
+from threedvc.encoder.reconstruction.depth_consistency import sampled_frames
 from threedvc.errors import FormatError
-from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.metrics.depth_errors import geman_mcclure_error
 from threedvc.render.render_model import RenderModel
 
 __all__ = ["background_depth_map", "background_image"]
@@ -62,8 +62,8 @@ def background_depth_map(state: FitState) -> CodedDepthMap | None:
     scene = state.scene
     if not _at_rest(state) or not len(state.surfaces[0].cells):
         return None
-    limited = (state.measured(frame) for frame in _averaged_frames(state))
-    seen = ((frame.depth, scene.labels(frame) > 0) for frame in limited)
+    measured = (state.measured(frame) for frame in _averaged_frames(state))
+    seen = ((frame.depth, scene.labels(frame) > 0) for frame in measured)
     trial = _DepthMapTrial(state)
     return cheapest_depth_map(averaged_inverse_depth(seen), scene.info.rig.depth, trial.cost, scene.config.voxel_size_m)
 
@@ -85,7 +85,7 @@ class _DepthMapTrial:
         self._threads, self._pose = state.threads, state.scene.objects[0].poses[0]
         self._camera, self._caster = state.scene.info.rig.depth, state.depth_caster(0)
         self._cell_bytes = _cell_bytes(state)
-        self._measured = [self._background_depth(state, frame) for frame in misfit_frames(state.frames)]
+        self._measured = [self._background_depth(state, frame) for frame in sampled_frames(state.frames)]
         self._misfit, self._wrong = self._misfit_and_wrong(state.colors.models[0])
 
     def cost(self, depth_map: CodedDepthMap) -> float:
@@ -109,12 +109,12 @@ class _DepthMapTrial:
         return np.where(labels == 0, self._caster.measured(state.measured(frame)), np.float32(0))
 
     def _misfit_and_wrong(self, model: RenderModel) -> tuple[float, float]:
-        """Return the `mean_misfit` of a background, and the share of measurements that are more than `WRONG` off."""
+        """Return the `geman_mcclure_error` of a background, and the share of measurements that are `WRONG`."""
         depth, _ = self._caster.cast({0: model}, {0: self._pose})
         drawn = np.where(depth > 0, depth, NOWHERE_M)
         wrong = sum(np.count_nonzero((np.abs(drawn - each) > WRONG * each) & (each > 0)) for each in self._measured)
         count = sum(map(np.count_nonzero, self._measured))
-        return mean_misfit((drawn, each) for each in self._measured), wrong / max(count, 1)
+        return geman_mcclure_error((drawn, each) for each in self._measured), wrong / max(count, 1)
 
 
 def _cell_bytes(state: FitState) -> int:

@@ -62,9 +62,9 @@ class FieldObject:
         model = DecodedModel(self.voxel_size_m, scale, guessed=self.inferred, relief_bits=self.relief_bits)
         model.apply(ModelUpdate.adding(surface.cells, surface.colors))
         if self.relief_bits and len(surface.cells):
-            encode_relief(model, surface.crossings_of(model.untold_cells()[0]))
+            encode_relief(model, surface.offsets_at(model.cells_without_offset()[0]))
         if model.texture is not None:
-            texels = model.bare_texels()
+            texels = model.uncolored_texels()
             model.texture.paint(texels, model.color.reshape(-1, 3)[model.index.locate(texels // scale)])
         return model
 

@@ -15,13 +15,13 @@ from threedvc.coding.gains import NEUTRAL
 from threedvc.config import RenderConfig
 from threedvc.encoder.appearance.color_field import ColorField, FieldObject
 from threedvc.encoder.appearance.samples import FrameSamples, Sampler, rays_at
-from threedvc.encoder.fusion.surface_extraction import Surface, read_surface
+from threedvc.encoder.fusion.surface_extraction import Surface, extract_surface
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.encoder.registration.frame_resolutions import Downsampled
 from threedvc.encoder.tracking.pose_track import PoseTracks
 from threedvc.frames.frame import Frame
-from threedvc.frames.sequence import FrameSequence, spread_step
+from threedvc.frames.sequence import FrameSequence, sampling_stride
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, identity, inverse
 from threedvc.render.render_model import RenderModel
@@ -124,7 +124,7 @@ class FitState:
         self.scene, self.frames = scene, frames
         self.threads, self.grey = scene.config.threads, scene.info.grey
         self.surfaces: Mapping[int, Surface] = {
-            number: read_surface(item.evidence, self.threads, smooth=True) for number, item in scene.objects.items()
+            number: extract_surface(item.evidence, self.threads, smooth=True) for number, item in scene.objects.items()
         }
         self.completion: CompletedSurface | None = None
         self.colors = self._color_field()
@@ -134,7 +134,7 @@ class FitState:
         self.samples: list[FrameSamples] = []
         self.turning = [number for number, item in scene.objects.items() if _turns(scene, item)]
         pixels = int(np.clip(max_samples // len(frames), MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES))
-        self._kept_step = spread_step(len(frames) * pixels, max_samples, scene.info)
+        self._kept_step = sampling_stride(len(frames) * pixels, max_samples, scene.info)
         self._samplers = [Sampler(rig, pixels, self.threads) for rig in scene.info.rigs]
         self._casters: dict[int, DepthCaster] = {}
 
@@ -188,11 +188,11 @@ class FitState:
 
     def measured(self, frame: int) -> Frame:
         """Return a frame without the depth that is not to be used."""
-        return self.scene.limited(self.frames[frame])
+        return self.scene.with_depth_limit(self.frames[frame])
 
     def drawn_frames(self) -> Iterator[Frame]:
         """Yield the frames in which anything is drawn."""
-        return (frame for frame in map(self.scene.limited, self.frames) if self.poses_in(frame.index))
+        return (frame for frame in map(self.scene.with_depth_limit, self.frames) if self.poses_in(frame.index))
 
     def poses_in(self, frame: int) -> dict[int, Pose]:
         """Return where the decoder will draw every object that has appeared, before the sensor that took a frame."""

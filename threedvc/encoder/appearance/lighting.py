@@ -102,7 +102,7 @@ def light_track(epochs: Mapping[int, LightEquations]) -> LightTrack:
     while len(parts) > 1:
         joined = [(first, one + other) for (first, one), (_, other) in pairwise(parts)]
         apart = [one.saved() + other.saved() for (_, one), (_, other) in pairwise(parts)]
-        losses = [both - together.saved() for both, (_, together) in zip(apart, joined, strict=True)]
+        losses = [both - synchronised.saved() for both, (_, synchronised) in zip(apart, joined, strict=True)]
         least = int(np.argmin(losses))
         if losses[least] > allowed:
             break

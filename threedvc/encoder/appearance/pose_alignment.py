@@ -12,7 +12,7 @@ from threedvc.encoder.appearance.fit_state import FitState
 from threedvc.encoder.appearance.photometric_alignment import aligned_pose, aligned_shift
 from threedvc.encoder.appearance.samples import FrameSamples
 from threedvc.frames.frame import Frame
-from threedvc.frames.sequence import moments
+from threedvc.frames.sequence import frame_sets
 from threedvc.geometry.pose import interpolated
 
 __all__ = ["Alignment", "take_samples"]
@@ -31,7 +31,7 @@ class Alignment(Enum):
 def take_samples(state: FitState, alignment: Alignment) -> None:
     """Sample all frames anew after aligning them with the colours so far, and find their gains."""
     state.samples.clear()
-    for moment in moments(state.drawn_frames(), state.scene.info):
+    for moment in frame_sets(state.drawn_frames(), state.scene.info):
         fresh = []
         for frame in moment:
             if state.is_repeated(frame.index):

@@ -14,11 +14,11 @@ from threedvc.encoder.appearance.fit_state import FitState
 from threedvc.encoder.appearance.fitted_surfaces import fitted_surfaces
 from threedvc.encoder.rate.rate_control import DEPTH_SHARE, error_at
 from threedvc.encoder.rate.trial_coding import coded_size, color_settings
-from threedvc.encoder.reconstruction.depth_consistency import misfit_frames
+from threedvc.encoder.reconstruction.depth_consistency import sampled_frames
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose
-from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.metrics.depth_errors import geman_mcclure_error
 
 __all__ = ["rate_distortion_at", "weighed_misfit"]
 
@@ -38,7 +38,7 @@ def rate_distortion_at(
     Returns
     -------
     float
-        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `mean_misfit`.
+        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `geman_mcclure_error`.
     """
     state = FitState(scene, frames, shifts, TRIAL_SAMPLES)
     fit_colors(state)
@@ -47,7 +47,7 @@ def rate_distortion_at(
 
 
 def weighed_misfit(misfit: float) -> float:
-    """Return a depth's `mean_misfit` as it counts beside the logarithm of the squared error of colours."""
+    """Return a depth's `geman_mcclure_error` as it counts beside the logarithm of the squared error of colours."""
     return DEPTH_SHARE * float(np.log(misfit + MIN_MISFIT))
 
 
@@ -66,11 +66,11 @@ def _coded(state: FitState, luma_step: float) -> tuple[int, float]:
 
 
 def _depth_misfit(state: FitState) -> float:
-    """Return the `mean_misfit` of what is drawn."""
+    """Return the `geman_mcclure_error` of what is drawn."""
 
     def drawn_and_measured(frame: int) -> tuple[Floats, Floats]:
         caster = state.depth_caster(frame)
         depth, _ = caster.cast(state.colors.models, state.poses_in(frame))
         return depth, caster.measured(state.measured(frame))
 
-    return mean_misfit(map(drawn_and_measured, misfit_frames(state.frames)))
+    return geman_mcclure_error(map(drawn_and_measured, sampled_frames(state.frames)))

@@ -18,7 +18,7 @@ from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.kernels.encoder.appearance import gather_colors
-from threedvc.kernels.render.shading import LEAST_LIGHT
+from threedvc.kernels.render.shading import MIN_LIGHT
 from threedvc.render.ray_grid import RayGrid
 from threedvc.render.renderer import Renderer
 from threedvc.units import LUMA_WEIGHTS
@@ -83,7 +83,7 @@ class FrameSamples:
         for number, track in field.lights.items():
             here = self.labels == number
             light[here] += (light_terms(self.normals[here]) @ light_at(track, self.frame)).astype(np.float32)
-        return np.asarray(np.maximum(light, np.float32(LEAST_LIGHT)))
+        return np.asarray(np.maximum(light, np.float32(MIN_LIGHT)))
 
 
 class Sampler:

@@ -20,7 +20,7 @@ from threedvc.config import RenderConfig
 from threedvc.encoder.appearance.fit_state import CompletedSurface, FitState
 from threedvc.encoder.appearance.samples import rays_at
 from threedvc.encoder.fusion.surface_extraction import Surface
-from threedvc.frames.sequence import spread_step
+from threedvc.frames.sequence import sampling_stride
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.model.decoded_model import DecodedModel
@@ -71,7 +71,7 @@ def complete_surfaces(state: FitState) -> None:
         return
     views = (
         _View(frame, state.sensor_of(frame), poses, state.shifts[frame])
-        for frame in range(0, count, spread_step(count, MAX_FRAMES, scene.info))
+        for frame in range(0, count, sampling_stride(count, MAX_FRAMES, scene.info))
         if 0 in (poses := state.poses_in(frame))
     )
     models = state.colors.models
@@ -141,7 +141,7 @@ def _inferred_surface(
         cells=cells,
         colors=colors,
         first_seen=np.full(len(cells), min(first_seen, default=0), dtype=np.int32),
-        crossings=np.zeros((len(cells), 3), dtype=np.float32),
+        subvoxel_offsets=np.zeros((len(cells), 3), dtype=np.float32),
     )
 
 

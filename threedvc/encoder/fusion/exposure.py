@@ -18,21 +18,21 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import Observation
 from threedvc.geometry.pose import Pose, inverse
 
-__all__ = ["camera_gain", "with_gain"]
+__all__ = ["estimate_gain", "with_gain"]
 
 SAMPLES = 8000
 MIN_SAMPLES = 200
-LEAST_WEIGHT = 0.05
+MIN_WEIGHT = 0.05
 """Colour weight, that of a look at 4 m, from which a cell tells of a gain."""
 DARK, BRIGHT = 8.0, 247.0
 """Levels beyond which a channel may be cut off."""
 ROUNDS = 4
-LEAST_GAIN, GREATEST_GAIN = 0.25, 4.0
+MIN_GAIN, MAX_GAIN = 0.25, 4.0
 KEPT = 0.012
 """A gain that differs by less from the last one is noise."""
 
 
-def camera_gain(
+def estimate_gain(
     seen: Observation,
     mask: NDArray[np.bool_],
     T_camera_object: Pose,
@@ -61,7 +61,7 @@ def camera_gain(
     positions = model.index.locate(cells.astype(np.int32))
     observed, usable = _observed(seen, points, model.voxel_size_m)
     known = (positions >= 0) & usable
-    known[known] = model.color_weight.reshape(-1)[positions[known]] > LEAST_WEIGHT
+    known[known] = model.color_weight.reshape(-1)[positions[known]] > MIN_WEIGHT
     if np.count_nonzero(known) < MIN_SAMPLES:
         return last.copy()
     shown = model.color.reshape(-1, 3)[positions[known]].astype(np.float64)
@@ -115,7 +115,7 @@ def _robust_ratio(shown: NDArray[np.float64], observed: NDArray[np.float64], gre
     weight = np.ones(len(shown))
     gain = np.ones(3)
     for _ in range(ROUNDS):
-        gain = np.clip(weight @ observed / np.maximum(weight @ shown, 1e-9), LEAST_GAIN, GREATEST_GAIN)
+        gain = np.clip(weight @ observed / np.maximum(weight @ shown, 1e-9), MIN_GAIN, MAX_GAIN)
         error = ((shown * gain - observed) ** 2).mean(axis=1)
         weight = 1 / (1 + error / (4 * np.median(error) + 1)) ** 2
     return np.asarray(gain)

@@ -57,7 +57,7 @@ class NoiseMeter:
             likelihood = (1 - STRAY_SHARE) * density + STRAY_SHARE * STRAY_DENSITY_PER_M
             self._log_likelihoods[sensor] += float(np.log(likelihood).sum())
 
-    def better_than(self, model: SensorModel) -> Sensor | None:
+    def likelier_sensor(self, model: SensorModel) -> Sensor | None:
         """Return the noisier sensor that makes measurements much likelier than a model does; None if there is none."""
         now = next(sensor for sensor, each in SENSORS.items() if each is model)
         noisier = [sensor for sensor in SENSORS if self._sigmas_m[sensor] > self._sigmas_m[now]]

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.kernels.encoder.surface import count_neighbours, find_crossings, mark_surface, smooth_distances
+from threedvc.kernels.encoder.surface import count_neighbors, find_crossings, mark_surface, smooth_distances
 from threedvc.model.block_index import BLOCK_CELLS, morton_keys
 from threedvc.parallel import for_ranges
 
-__all__ = ["MIN_NEIGHBOURS", "Surface", "grouped_by_region", "read_surface"]
+__all__ = ["MIN_NEIGHBORS", "Surface", "extract_surface", "grouped_by_region"]
 
 MIN_WEIGHT = 0.02
-MIN_NEIGHBOURS = 3
+MIN_NEIGHBORS = 3
 SMOOTHING_PASSES = 3
 SMOOTHING_TRUST = 4.0
 """Precision, in units of the sensor's at 1 m, with which neighbours tell a cell its distance."""
@@ -50,7 +50,7 @@ class Surface:
     cells: NDArray[np.int32]
     colors: NDArray[np.int16]
     first_seen: NDArray[np.int32]
-    crossings: NDArray[np.float32]
+    subvoxel_offsets: NDArray[np.float32]
     importance: NDArray[np.float32] | None = None
 
     def part(self, chosen: NDArray[np.bool_]) -> Surface:
@@ -59,16 +59,16 @@ class Surface:
             cells=self.cells[chosen],
             colors=self.colors[chosen],
             first_seen=self.first_seen[chosen],
-            crossings=self.crossings[chosen],
+            subvoxel_offsets=self.subvoxel_offsets[chosen],
             importance=None if self.importance is None else self.importance[chosen],
         )
 
-    def crossings_of(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
+    def offsets_at(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return the crossings (n, 3) of some of its cells (n, 3)."""
-        return self.crossings[np.searchsorted(morton_keys(self.cells), morton_keys(cells))]
+        return self.subvoxel_offsets[np.searchsorted(morton_keys(self.cells), morton_keys(cells))]
 
 
-def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0, smooth: bool = False) -> Surface:
+def extract_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.0, smooth: bool = False) -> Surface:
     """Read the surface out of the evidence; specks of fewer than four touching cells are noise.
 
     Parameters
@@ -94,16 +94,18 @@ def read_surface(model: EvidenceModel, threads: int, *, min_log_odds: float = 0.
 
     for_ranges(mark, count, threads)
     cells, positions = index.flagged(flags)
-    neighbours = np.zeros(len(cells), dtype=np.int32)
-    count_neighbours(cells, positions, index.tables, flags.reshape(-1), neighbours)
-    cells, positions = cells[neighbours >= MIN_NEIGHBOURS], positions[neighbours >= MIN_NEIGHBOURS]
-    crossings = np.empty((len(cells), 3), dtype=np.float32)
-    find_crossings(cells, positions, index.tables, distance.reshape(-1), model.distance_weight.reshape(-1), crossings)
+    neighbors = np.zeros(len(cells), dtype=np.int32)
+    count_neighbors(cells, positions, index.tables, flags.reshape(-1), neighbors)
+    cells, positions = cells[neighbors >= MIN_NEIGHBORS], positions[neighbors >= MIN_NEIGHBORS]
+    subvoxel_offsets = np.empty((len(cells), 3), dtype=np.float32)
+    find_crossings(
+        cells, positions, index.tables, distance.reshape(-1), model.distance_weight.reshape(-1), subvoxel_offsets
+    )
     return Surface(
         cells=cells,
         colors=_colors(model, positions),
         first_seen=model.first_seen.reshape(-1)[positions],
-        crossings=crossings,
+        subvoxel_offsets=subvoxel_offsets,
     )
 
 

@@ -22,7 +22,7 @@ from threedvc.encoder.rate.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stre
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
-from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.metrics.depth_errors import geman_mcclure_error
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
 from threedvc.stream.framing_sizes import VIDEO_FRAMING_BYTES
 from threedvc.stream.headers import VideoHeader
@@ -81,7 +81,7 @@ class _SensorFrames:
 
     def measured(self, number: int) -> NDArray[np.float32]:
         """Return the depth (h, w) that was measured in a frame."""
-        return self.scene.limited(self.frames[number]).depth
+        return self.scene.with_depth_limit(self.frames[number]).depth
 
     def drawn(self, numbers: Sequence[int]) -> Iterator[NDArray[np.float32]]:
         """Yield the depth (h, w) that packets draw of some frames, whose numbers rise."""
@@ -228,7 +228,7 @@ class DepthVideoTrial:
     def _misfit_with(self, shown: Mapping[int, NDArray[np.float32]]) -> float:
         """Return the misfit of what is drawn, or shown instead; what is missing fits not at all."""
         pictures = ((shown.get(place, drawn), self._measured[place]) for place, drawn in self._drawn.items())
-        return mean_misfit((np.where(depth > 0, depth, NOWHERE_M), measured) for depth, measured in pictures)
+        return geman_mcclure_error((np.where(depth > 0, depth, NOWHERE_M), measured) for depth, measured in pictures)
 
 
 class DepthVideoWriter:

@@ -16,7 +16,7 @@ from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
 from threedvc.encoder.appearance.background.background_depth import RELIEF_BITS
 from threedvc.encoder.appearance.lighting import light_at
-from threedvc.encoder.fusion.surface_extraction import Surface, grouped_by_region, read_surface
+from threedvc.encoder.fusion.surface_extraction import Surface, extract_surface, grouped_by_region
 from threedvc.encoder.packetizer.background_choice import BackgroundChoice
 from threedvc.encoder.packetizer.scene_source import BatchFrames, SceneSource
 from threedvc.encoder.packetizer.sent_state import SentObject
@@ -155,7 +155,7 @@ class ModelPackets:
 
     def _read_surface(self, number: int) -> Surface:
         if self._finished is None:
-            return read_surface(self._scene.objects[number].evidence, self._config.threads, smooth=True)
+            return extract_surface(self._scene.objects[number].evidence, self._config.threads, smooth=True)
         surface = self._finished.surfaces[number]
         if number == 0 and self._background.image is not None:
             return replace(surface, colors=np.zeros_like(surface.colors))
@@ -186,16 +186,16 @@ class ModelPackets:
         """Yield where in the cells that were just sent the surface passes."""
         if not sent.model.relief_bits:
             return
-        crossings = self._surface(sent).crossings_of(sent.model.untold_cells()[0])
-        if len(crossings):
-            payload = encode_relief(sent.model, crossings)
+        subvoxel_offsets = self._surface(sent).offsets_at(sent.model.cells_without_offset()[0])
+        if len(subvoxel_offsets):
+            payload = encode_relief(sent.model, subvoxel_offsets)
             yield ReliefHeader(object_id=sent.number, frame=frame).packet(payload)
 
     def _texture(self, sent: SentObject, frame: int) -> Iterator[Packet]:
         """Yield the colours of the texels of cells that were just sent."""
         if self._finished is None or sent.model.texture is None:
             return
-        texels = sent.model.bare_texels()
+        texels = sent.model.uncolored_texels()
         if not len(texels):
             return
         owners = sent.model.index.locate(texels // sent.model.texture.scale)

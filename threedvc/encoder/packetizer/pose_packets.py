@@ -45,7 +45,7 @@ def pose_packets(sent: SentObject, steps: PoseSteps, poses: Sequence[Pose], batc
     """
     for start, end in runs_of(_moving(sent, steps, poses), MAX_STILL_GAP):
         if sent.next_moment != batch.moments_before + start:
-            sent.pose_coder.hold()
+            sent.pose_coder.reset_velocity()
         payload = sent.pose_coder.encode(poses[start:end])
         sent.last_pose, sent.next_moment = poses[end - 1], batch.moments_before + end
         yield PoseHeader(object_id=sent.number, frame=batch.moments[start], count=end - start).packet(payload)

@@ -13,7 +13,7 @@ from threedvc.coding.gains import apply_gain
 from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.replay import replay
 from threedvc.encoder.rate.rate_control import SHARE_PER_BYTE
-from threedvc.frames.sequence import FrameSequence, spread_step
+from threedvc.frames.sequence import FrameSequence, sampling_stride
 from threedvc.kernels.render.picture_filter import add_filter_equations
 from threedvc.model.post_filter import FACTOR_UNIT, PAIRS, PIXEL_CLASSES, PostFilter, planes_of
 from threedvc.parallel import for_ranges
@@ -56,7 +56,7 @@ def fit_post_filter(packets: Sequence[Packet], frames: FrameSequence, threads: i
         With filters for the classes of pixels where they save more than they take; None: for none.
     """
     equations = _Equations(threads)
-    every = spread_step(len(frames), FILTER_FRAMES, frames.info)
+    every = sampling_stride(len(frames), FILTER_FRAMES, frames.info)
 
     def wanted(state: FrameState) -> bool:
         return state.index % every == 0 and bool(state.T_camera_object)

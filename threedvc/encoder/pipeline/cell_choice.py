@@ -11,13 +11,13 @@ import numpy as np
 
 from threedvc.config import EncoderConfig, with_step
 from threedvc.encoder.appearance.rate_distortion import rate_distortion_at
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.budget import stream_budget, surface_budget
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
 from threedvc.encoder.rate.rate_control import MIDDLE_STEP, best_cells, cell_factor
 from threedvc.encoder.rate.trial_coding import coded_size, color_settings
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.frames.sequence import ThinnedSequence, spread_step
+from threedvc.frames.sequence import DownsampledSequence, sampling_stride
 from threedvc.geometry.pose import Pose
 
 __all__ = ["surface_bytes", "with_affordable_cells", "with_best_cells", "with_relief_chosen"]
@@ -42,7 +42,7 @@ def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None
     bits = scene.config.appearance.relief_bits or 0 if relief_bits is None else relief_bits
     threads = scene.config.threads
     sizes = (
-        coded_size(read_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, bits, settings)
+        coded_size(extract_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, bits, settings)
         for item in scene.objects.values()
     )
     return sum(size for size, _ in sizes)
@@ -63,8 +63,8 @@ def with_best_cells(state: Reconstruction, fusion: FusionPass, shifts: Sequence[
     if budget is None:
         return state
     least = MIN_CELL_FACTOR if shifts is None else MIN_SHIFTED_CELL_FACTOR
-    step = spread_step(len(fusion.frames), TRIAL_FRAMES, state.info)
-    some = ThinnedSequence(fusion.frames, step)
+    step = sampling_stride(len(fusion.frames), TRIAL_FRAMES, state.info)
+    some = DownsampledSequence(fusion.frames, step)
     poses = {number: found[::step] for number, found in state.poses.items()}
 
     def tried(factor: float) -> float:

@@ -22,7 +22,7 @@ from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoice
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
-from threedvc.frames.sequence import FrameSequence, moments
+from threedvc.frames.sequence import FrameSequence, frame_sets
 from threedvc.stream.frame_report import FrameReport, OnFrame
 from threedvc.stream.packets import Packet
 
@@ -54,7 +54,7 @@ class Encoder:
         self._info = info
         self.state = Reconstruction(config=config, scene=Scene(info, config), reports=[])
         seconds = LIVE_BATCH_S if config.causal else FILE_BATCH_S
-        self._batch_frames = config.group_frames or max(1, round(seconds * info.fps))
+        self._batch_frames = config.batch_frames or max(1, round(seconds * info.fps))
 
     @property
     def scene(self) -> Scene:
@@ -127,7 +127,7 @@ class Encoder:
         """Send each batch when the first frame after it comes, so that the last batch is known to be it."""
         packetizer: Packetizer | None = None
         sent = 0
-        for frame_set in moments(frames, self._info):
+        for frame_set in frame_sets(frames, self._info):
             if len(self.reports) - sent >= self._batch_frames:
                 if packetizer is None:
                     packetizer = self._live_packetizer()

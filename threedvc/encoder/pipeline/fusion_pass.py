@@ -11,7 +11,7 @@ from threedvc.config import EncoderConfig
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, carry_resting_objects
 from threedvc.frames.frame import Frame, SequenceInfo
-from threedvc.frames.sequence import FrameSequence, moments
+from threedvc.frames.sequence import FrameSequence, frame_sets
 from threedvc.stream.frame_report import FrameReport, OnFrame
 from threedvc.stream.pose_status import PoseStatus
 
@@ -94,7 +94,7 @@ def fuse_frames(
 ) -> Reconstruction:
     """Take all frames into a scene; `config` are the choices for later passes where they differ from the scene's."""
     reports: list[FrameReport] = []
-    for frame_set in moments(frames, scene.info):
+    for frame_set in frame_sets(frames, scene.info):
         reports += reporter.fuse(scene, frame_set)
     return Reconstruction(config=config or scene.config, scene=scene, reports=reports)
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from threedvc.config import EncoderConfig, SegmentationConfig, SegmentationMode
 from threedvc.encoder.appearance.appearance_fit import align_pictures, align_poses
 from threedvc.encoder.appearance.rate_distortion import rate_distortion_at
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.budget import surface_budget
 from threedvc.encoder.pipeline.cell_choice import (
     surface_bytes,
@@ -22,11 +22,11 @@ from threedvc.encoder.pipeline.cell_choice import (
     with_relief_chosen,
 )
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
-from threedvc.encoder.reconstruction.color_calibration import calibrated_info
-from threedvc.encoder.reconstruction.depth_consistency import depth_misfit, noisier_sensors
-from threedvc.encoder.reconstruction.extrinsic_calibration import mounted_info
-from threedvc.encoder.reconstruction.loop_closure import closed_loops
-from threedvc.encoder.reconstruction.pose_refinement import refined_script
+from threedvc.encoder.reconstruction.color_calibration import calibrate_color_cameras
+from threedvc.encoder.reconstruction.depth_consistency import background_depth_error, reclassify_sensors
+from threedvc.encoder.reconstruction.extrinsic_calibration import calibrate_extrinsics
+from threedvc.encoder.reconstruction.loop_closure import close_loops
+from threedvc.encoder.reconstruction.pose_refinement import refine_poses
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.registration.registration import RegistrationConfig
 from threedvc.encoder.segmentation.sequence_labels import MAX_LOST_SHARE, SequenceLabels
@@ -93,7 +93,7 @@ def improve(state: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, 
 def check_surfaces(state: Reconstruction) -> None:
     """Raise SequenceError if depth was measured and makes no surface: a stream of it would draw nothing."""
     models = [item.evidence for item in state.scene.objects.values() if item.evidence.index.count]
-    if models and not any(len(read_surface(model, state.config.threads).cells) for model in models):
+    if models and not any(len(extract_surface(model, state.config.threads).cells) for model in models):
         raise SequenceError(
             f"{state.info.name}: the depth of its {len(state.reports)} frames makes no surface; it is too sparse, or "
             "too noisy for --sensor, or its poses are wrong (--motion track)"
@@ -148,7 +148,7 @@ def _with_measured_noise(
     state: Reconstruction, info: SequenceInfo, asked: EncoderConfig, fusion: FusionPass
 ) -> Reconstruction:
     """Begin anew with the choices `asked` for where a sensor scatters more than its first frame made believe."""
-    sensors = noisier_sensors(state.scene, fusion.frames) if 0 in state.scene.objects else None
+    sensors = reclassify_sensors(state.scene, fusion.frames) if 0 in state.scene.objects else None
     if sensors is None:
         return state
     return _first_pass(info, replace(asked, sensor=sensors[0], other_sensors=tuple(sensors[1:])), fusion)
@@ -175,7 +175,7 @@ def _with_camera_at_rest(state: Reconstruction, fusion: FusionPass) -> Reconstru
 
 def _with_extrinsics(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
     """Correct how further sensors are mounted, if that makes their frames fit those of the first one better."""
-    info = mounted_info(state.scene, fusion.frames)
+    info = calibrate_extrinsics(state.scene, fusion.frames)
     if info is None:
         return state
     return fusion.fuse(Scene(info, state.config, state.poses, state.scene.sequence_labels))
@@ -188,12 +188,12 @@ def _with_color_calibration(state: Reconstruction, fusion: FusionPass) -> Recons
     anew. A new one is not quite exact: the depth leads on.
     """
     tracked = state.tracked
-    info = calibrated_info(state.scene, fusion.frames)
+    info = calibrate_color_cameras(state.scene, fusion.frames)
     if info is not None:
         state = fusion.fuse(Scene(info, state.config, state.poses, state.scene.sequence_labels), state.config)
     elif tracked:
         state = _tracked_anew(state, fusion)
-    poses = refined_script(state.scene, fusion.frames, TO_DEPTH if tracked and info is not None else None)
+    poses = refine_poses(state.scene, fusion.frames, TO_DEPTH if tracked and info is not None else None)
     poses[0] = interpolate_blind_frames(
         poses[0], [record.blind for record in state.scene.records], round(BRIDGED_S * state.info.fps)
     )
@@ -216,12 +216,12 @@ def _with_closed_loops(state: Reconstruction, fusion: FusionPass) -> Reconstruct
         at is None or at.status is PoseStatus.KNOWN for at in scene.objects[0].found
     ):
         return state
-    closed_path = closed_loops(scene, frames)
+    closed_path = close_loops(scene, frames)
     if closed_path is None:
         return state
     closed = fusion.fuse_at(state, state.poses | {0: closed_path})
-    closed = fusion.fuse_at(closed, refined_script(closed.scene, frames))
-    no_gain = depth_misfit(closed.scene, frames) > WORTHWHILE_ROUND * depth_misfit(scene, frames)
+    closed = fusion.fuse_at(closed, refine_poses(closed.scene, frames))
+    no_gain = background_depth_error(closed.scene, frames) > WORTHWHILE_ROUND * background_depth_error(scene, frames)
     return state if no_gain else closed
 
 
@@ -246,15 +246,15 @@ def _with_photometric_poses(state: Reconstruction, fusion: FusionPass) -> tuple[
 def _with_poses_of_depth(common: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, float, float]:
     """Register with the depth until that gains nothing; return the depth's error then, and at the common poses."""
     frames, state = fusion.frames, common
-    first = error = depth_misfit(common.scene, frames)
+    first = error = background_depth_error(common.scene, frames)
     for _ in range(MAX_DEPTH_ROUNDS):
-        poses = refined_script(state.scene, frames, TO_DEPTH)
+        poses = refine_poses(state.scene, frames, TO_DEPTH)
         if not state.info.sensors:  # sensors share poses, or take turns at steps of uneven length
             poses[0] = smooth_to_depth(
                 poses[0], common.scene.objects[0].found, [record.blind for record in common.scene.records]
             )
         state = fusion.fuse_at(state, poses)
-        before, error = error, depth_misfit(state.scene, frames)
+        before, error = error, background_depth_error(state.scene, frames)
         if error > WORTHWHILE_ROUND * before:
             break
     return state, error, first

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.fusion.surface_extraction import MIN_NEIGHBOURS, Surface, read_surface
-from threedvc.kernels.encoder.surface import count_neighbours
+from threedvc.encoder.fusion.surface_extraction import MIN_NEIGHBORS, Surface, extract_surface
+from threedvc.kernels.encoder.surface import count_neighbors
 from threedvc.model.block_index import BLOCK_CELLS
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
@@ -40,13 +40,11 @@ def incremental_update(model: EvidenceModel, sent: DecodedModel, threads: int) -
     when the mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the
     decoded ones a cell would be sent again for its quantisation error.
     """
-    present = read_surface(model, threads)
+    present = extract_surface(model, threads)
     surface = present.part(_among_sure_ones(present, model, threads))
     known = _is_sent(sent, surface.cells)
     near = np.zeros(len(surface.cells), dtype=np.int32)
-    count_neighbours(
-        surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near
-    )
+    count_neighbors(surface.cells, sent.index.locate(surface.cells), sent.index.tables, sent.occupied.reshape(-1), near)
     moved = np.zeros(len(known), dtype=bool)
     positions = sent.index.locate(surface.cells[known])
     drift = np.abs(surface.colors[known] - sent.color.reshape(-1, 3)[positions]).max(axis=1)
@@ -58,11 +56,11 @@ def incremental_update(model: EvidenceModel, sent: DecodedModel, threads: int) -
 def _among_sure_ones(surface: Surface, model: EvidenceModel, threads: int) -> NDArray[np.bool_]:
     """Tell which cells (n,) of a surface are confident, or have three confident ones around them."""
     sure = np.zeros(model.index.count * BLOCK_CELLS, dtype=np.uint8)
-    sure[model.index.locate(read_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS).cells)] = 1
+    sure[model.index.locate(extract_surface(model, threads, min_log_odds=CONFIDENT_LOG_ODDS).cells)] = 1
     positions = model.index.locate(surface.cells)
     around = np.zeros(len(positions), dtype=np.int32)
-    count_neighbours(surface.cells, positions, model.index.tables, sure, around)
-    return np.asarray((sure[positions] != 0) | (around >= MIN_NEIGHBOURS))
+    count_neighbors(surface.cells, positions, model.index.tables, sure, around)
+    return np.asarray((sure[positions] != 0) | (around >= MIN_NEIGHBORS))
 
 
 def _frontier(near: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -78,7 +76,7 @@ def _vanished(present: Surface, model: EvidenceModel, sent: DecodedModel) -> NDA
     flags = np.zeros((model.index.count, BLOCK_CELLS), dtype=np.uint8)
     flags.reshape(-1)[model.index.locate(present.cells)] = 1
     beside = np.zeros(len(cells), dtype=np.int32)
-    count_neighbours(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
+    count_neighbors(cells, model.index.locate(cells), model.index.tables, flags.reshape(-1), beside)
     gone = (beside == 0) & (flags.reshape(-1)[model.index.locate(cells)] == 0)
     return np.asarray(cells[gone], dtype=np.int32)
 

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.color import LEAST_STEP, MAX_STEP, ColorSettings
-from threedvc.config import Focus
+from threedvc.coding.color import MAX_STEP, MIN_STEP, ColorSettings
+from threedvc.config import RegionOfInterest
 from threedvc.model.model_update import ModelUpdate
 
 __all__ = ["object_weight", "roi_weights", "with_roi_weights", "with_steps_scaled"]
 
 
 def roi_weights(
-    focuses: Sequence[Focus], number: int, cells: NDArray[np.int32], voxel_size_m: float
+    focuses: Sequence[RegionOfInterest], number: int, cells: NDArray[np.int32], voxel_size_m: float
 ) -> NDArray[np.float32]:
     """Return how much the squared error of cells (n, 3) of an object counts, (n,), 1 outside all regions.
 
@@ -35,7 +35,7 @@ def roi_weights(
 
 
 def with_roi_weights(
-    update: ModelUpdate, settings: ColorSettings, focuses: Sequence[Focus], number: int, voxel_size_m: float
+    update: ModelUpdate, settings: ColorSettings, focuses: Sequence[RegionOfInterest], number: int, voxel_size_m: float
 ) -> tuple[ModelUpdate, ColorSettings]:
     """Return an update and settings with which its colours are coded as finely as the focus asks.
 
@@ -52,12 +52,12 @@ def with_roi_weights(
     return replace(update, importance=importance), with_steps_scaled(settings, heaviest)
 
 
-def object_weight(focuses: Sequence[Focus], number: int) -> float:
+def object_weight(focuses: Sequence[RegionOfInterest], number: int) -> float:
     """Return how much the squared error of an object as a whole counts."""
     return float(np.prod([focus.weight for focus in focuses if focus.number == number]))
 
 
 def with_steps_scaled(settings: ColorSettings, weight: float) -> ColorSettings:
     """Return the settings with which squared errors are smaller by a factor."""
-    luma, chroma = (max(step / weight**0.5, LEAST_STEP) for step in (settings.luma_step, settings.chroma_step))
+    luma, chroma = (max(step / weight**0.5, MIN_STEP) for step in (settings.luma_step, settings.chroma_step))
     return replace(settings, luma_step=min(luma, MAX_STEP), chroma_step=min(chroma, MAX_STEP))

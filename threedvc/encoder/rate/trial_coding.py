@@ -28,5 +28,5 @@ def coded_size(
     model.apply(decoded)
     size = len(payload)
     if relief_bits and len(surface.cells):
-        size += len(encode_relief(model, surface.crossings_of(model.untold_cells()[0])))
+        size += len(encode_relief(model, surface.offsets_at(model.cells_without_offset()[0])))
     return size, model

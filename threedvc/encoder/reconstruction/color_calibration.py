@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles
-from threedvc.encoder.fusion.surface_extraction import read_surface
+from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 
-__all__ = ["Sighting", "calibrate", "calibrated_info", "sighting"]
+__all__ = ["Sighting", "calibrate", "calibrate_color_cameras", "sighting"]
 
 BLURS_PX = (6.0, 3.0, 1.5)
 STEPS = 8
@@ -226,14 +226,14 @@ def _disagreement(
     return ratios[0], ratios[1]
 
 
-def calibrated_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
+def calibrate_color_cameras(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
     """Calibrate the colour cameras on the background; None where all present ones are as good.
 
     Objects that move before a camera at rest change their shade as they turn, which would be taken for
     a wrong camera.
     """
     item = scene.objects[0]
-    surface = read_surface(item.evidence, scene.config.threads)
+    surface = extract_surface(item.evidence, scene.config.threads)
     points = np.asarray((surface.cells + 0.5) * item.evidence.voxel_size_m, dtype=np.float64)
     chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]
     found, rigs = [], scene.info.rigs
@@ -244,7 +244,9 @@ def calibrated_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
             at = item.found[frame]
             if at is not None and at.usable:
                 T_camera_object = rig.at_sensor(at.T_camera_object)
-                sightings.append(sighting(points[chosen], scene.limited(frames[frame]), T_camera_object, rig.depth))
+                sightings.append(
+                    sighting(points[chosen], scene.with_depth_limit(frames[frame]), T_camera_object, rig.depth)
+                )
         found.append(calibrate(rig, sightings))
     if not any(found):
         return None

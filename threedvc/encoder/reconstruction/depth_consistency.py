@@ -12,25 +12,25 @@ from threedvc.config import Sensor
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.registration.model_view import predicted_and_measured_depth
-from threedvc.frames.sequence import FrameSequence, spread_step
-from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.frames.sequence import FrameSequence, sampling_stride
+from threedvc.metrics.depth_errors import geman_mcclure_error
 
-__all__ = ["depth_misfit", "misfit_frames", "noisier_sensors"]
+__all__ = ["background_depth_error", "reclassify_sensors", "sampled_frames"]
 
-MISFIT_FRAMES = 60
+SAMPLED_FRAMES = 60
 
 
-def misfit_frames(frames: FrameSequence) -> range:
+def sampled_frames(frames: FrameSequence) -> range:
     """Return the frames on which a misfit is measured."""
-    return range(0, len(frames), spread_step(len(frames), MISFIT_FRAMES, frames.info))
+    return range(0, len(frames), sampling_stride(len(frames), SAMPLED_FRAMES, frames.info))
 
 
-def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
-    """Return the `mean_misfit` of the background's evidence at its poses."""
-    return mean_misfit((shown, measured) for _, shown, measured in _background_depths(scene, frames))
+def background_depth_error(scene: Scene, frames: FrameSequence) -> float:
+    """Return the `geman_mcclure_error` of the background's evidence at its poses."""
+    return geman_mcclure_error((shown, measured) for _, shown, measured in _background_depths(scene, frames))
 
 
-def noisier_sensors(scene: Scene, frames: FrameSequence) -> list[Sensor] | None:
+def reclassify_sensors(scene: Scene, frames: FrameSequence) -> list[Sensor] | None:
     """Tell what sensors the frames come from, as their noise about the model shows; None if that is as was thought."""
     asked = [scene.config.sensor_of(sensor) for sensor in range(len(scene.info.rigs))]
     if Sensor.AUTO not in asked:
@@ -39,7 +39,7 @@ def noisier_sensors(scene: Scene, frames: FrameSequence) -> list[Sensor] | None:
     for index, shown, measured in _background_depths(scene, frames):
         meters[scene.records[index].sensor].add(shown, measured, scene.objects[0].evidence.voxel_size_m)
     found = [
-        sensor if sensor is not Sensor.AUTO else meter.better_than(scene.sensor_of(number)) or Sensor.AUTO
+        sensor if sensor is not Sensor.AUTO else meter.likelier_sensor(scene.sensor_of(number)) or Sensor.AUTO
         for number, (sensor, meter) in enumerate(zip(asked, meters, strict=True))
     ]
     return found if found != asked else None
@@ -50,11 +50,11 @@ def _background_depths(
 ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
     """Yield, for frames spread over the sequence, their number, the depth of the background's evidence and theirs."""
     item = scene.objects[0]
-    for index in misfit_frames(frames):
+    for index in sampled_frames(frames):
         at = item.found[index]
         if at is None or not at.usable:
             continue
-        frame = scene.limited(frames[index])
+        frame = scene.with_depth_limit(frames[index])
         mask = scene.labels(frame) == 0
         views = scene.views(frame)
         there = views.rig.at_sensor(at.T_camera_object)

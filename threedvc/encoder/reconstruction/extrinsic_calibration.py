@@ -26,15 +26,15 @@ from threedvc.encoder.registration.registration import RegistrationConfig, Regis
 from threedvc.frames.frame import SequenceInfo
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, compose, exp_motion, inverse, log_motion, orthonormalised
-from threedvc.metrics.depth_errors import mean_misfit
+from threedvc.metrics.depth_errors import geman_mcclure_error
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["mounted_info"]
+__all__ = ["calibrate_extrinsics"]
 
 MODEL_FRAMES, COMPARED_FRAMES = 120, 30
-LEAST_FRAMES = 4
+MIN_FRAMES = 4
 ROUNDS = 3
-LEAST_OVERLAP = 0.2
+MIN_OVERLAP = 0.2
 OUTLIER = 3.0
 """Corrections that lie further from all than this many times their median distance do not count."""
 WORTHWHILE = 0.97
@@ -50,7 +50,7 @@ class _Said(NamedTuple):
     information: Doubles
 
 
-def mounted_info(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
+def calibrate_extrinsics(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
     """Return the sequence with sensors mounted where their frames fit those of the first one; None: as they are.
 
     Only the background counts. A sensor that sees nothing that the first one has seen stays as it is.
@@ -88,7 +88,7 @@ def _first_model(scene: Scene, frames: FrameSequence) -> EvidenceModel:
     item, rig, threads = scene.objects[0], scene.info.rig, scene.config.threads
     model, rays = EvidenceModel(item.evidence.voxel_size_m), rig.depth.rays()
     for number in _chosen(scene, 0, MODEL_FRAMES):
-        frame, at = scene.limited(frames[number]), item.found[number]
+        frame, at = scene.with_depth_limit(frames[number]), item.found[number]
         assert at is not None
         mask, seen = scene.labels(frame) == 0, observe(frame, rig, rays)
         fuse(model, seen, mask, at.T_camera_object, scene.sensor_of(0), scene.config.fusion, threads)
@@ -98,7 +98,7 @@ def _first_model(scene: Scene, frames: FrameSequence) -> EvidenceModel:
 def _corrected(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> Pose:
     """Return a mounting corrected once by what frames of its sensor ask for."""
     said = [each for number in chosen if (each := _said(scene, frames, number, model, mount)) is not None]
-    if len(said) < LEAST_FRAMES:
+    if len(said) < MIN_FRAMES:
         return mount
     middle = np.median([each.twist for each in said], axis=0)
     away = np.array([float(np.linalg.norm(each.twist - middle)) for each in said])
@@ -113,28 +113,28 @@ def _said(scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel
     """Register a frame with the model, and return how its sensor should be moved for it to fit; None if it is lost."""
     at = scene.objects[0].found[number]
     assert at is not None
-    frame = scene.limited(frames[number])
+    frame = scene.with_depth_limit(frames[number])
     seen = ObjectView(scene.views(frame), scene.labels(frame) == 0)
     threads, sigma_m = scene.config.threads, scene.sensor_of(frame.sensor).sigma_m
     guess = compose(mount, at.T_camera_object)
     view = raycast_model(model, seen.resolution, guess, threads, exact=True)
     problem = RegistrationProblem(sample=seen.sample, view=view, sigma_m=sigma_m, config=BY_DEPTH, threads=threads)
     found = register_multi_start(problem, guess)
-    if found.status is PoseStatus.LOST or found.overlap < LEAST_OVERLAP:
+    if found.status is PoseStatus.LOST or found.overlap < MIN_OVERLAP:
         return None
     information = Alignment(problem).information(found.T_camera_object)
     return None if information is None else _Said(log_motion(found.T_camera_object @ inverse(guess)), information)
 
 
 def _misfit(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> float:
-    """Return the `mean_misfit` of frames of a sensor with the model, if the sensor were mounted so."""
+    """Return the `geman_mcclure_error` of frames of a sensor with the model, if the sensor were mounted so."""
     pictures = []
     for number in chosen:
         at = scene.objects[0].found[number]
         assert at is not None
-        frame = scene.limited(frames[number])
+        frame = scene.with_depth_limit(frames[number])
         seen = ObjectView(scene.views(frame), scene.labels(frame) == 0)
         guess = compose(mount, at.T_camera_object)
         view = raycast_model(model, seen.resolution, guess, scene.config.threads, exact=True)
         pictures.append((view.depth, seen.object_depth))
-    return mean_misfit(pictures)
+    return geman_mcclure_error(pictures)

@@ -12,7 +12,7 @@ from threedvc.arrays import Mask
 from threedvc.coding.gains import NEUTRAL
 from threedvc.config import EncoderConfig, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.fusion.exposure import camera_gain, with_gain
+from threedvc.encoder.fusion.exposure import estimate_gain, with_gain
 from threedvc.encoder.fusion.integration import Observation, observe
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
 from threedvc.encoder.registration.frame_resolutions import Downsampled, FrameResolutions
@@ -129,7 +129,7 @@ class FrameIntake:
                 timestamp_ns=frame.timestamp_ns,
                 color_offset_ns=color_ns - frame.timestamp_ns,
                 sensor=frame.sensor,
-                synchronised=frame.together,
+                synchronised=frame.synchronised,
                 repeated=before is not None and _same_pictures(frame, before),
                 blind=not frame.depth.any(),
                 gain=NEUTRAL,
@@ -176,14 +176,14 @@ class FrameIntake:
             return
         pictures = predicted_and_measured_depth(background, frame.views, mask, T_camera_object, self._config.threads)
         meter.add(*pictures, background.voxel_size_m)
-        better = meter.better_than(self._noise[number]) if meter.frames == METERED_FRAMES else None
+        better = meter.likelier_sensor(self._noise[number]) if meter.frames == METERED_FRAMES else None
         if better is not None:
             self._noise[number] = SENSORS[better]
 
     def take_out_gain(self, frame: PreparedFrame, background: EvidenceModel, mask: Mask, T_camera_object: Pose) -> None:
         """Find the gain of a frame's colour camera against the background, record it, and free the frame of it."""
         record = self.records[frame.seen.frame]
-        record.gain = camera_gain(frame.seen, mask, T_camera_object, background, record.gain, self._info.grey)
+        record.gain = estimate_gain(frame.seen, mask, T_camera_object, background, record.gain, self._info.grey)
         frame.seen = with_gain(frame.seen, record.gain)
 
     def _measure_distance(self, frame: Frame, *, settled: bool) -> None:

@@ -32,7 +32,7 @@ from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, compose, identity, interpolated, inverse, rotation_angle
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["closed_loops", "corrected", "key_numbers"]
+__all__ = ["close_loops", "corrected", "key_numbers"]
 
 STEP_RAD, STEP = 0.05, 0.035
 """The next keyframe comes after this turn, or after this way in parts of the distance of what is seen."""
@@ -90,7 +90,7 @@ def key_numbers(poses: Sequence[Pose | None], distance_m: float) -> list[int]:
         widest *= 1.3
 
 
-def closed_loops(scene: Scene, frames: FrameSequence) -> list[TrackedPose | None] | None:
+def close_loops(scene: Scene, frames: FrameSequence) -> list[TrackedPose | None] | None:
     """Return where the background is in every frame when its keyframes have been made to agree with each other.
 
     None where no place is seen again after a while, or poses agree already.
@@ -103,7 +103,7 @@ def closed_loops(scene: Scene, frames: FrameSequence) -> list[TrackedPose | None
     ]
     keys = []
     for number in key_numbers(usable, scene.distance_m):
-        frame, at = scene.limited(frames[number]), found[number]
+        frame, at = scene.with_depth_limit(frames[number]), found[number]
         if at is not None and frame.depth.any():
             keys.append(_View(number, scene.views(frame), scene.labels(frame) == 0, at))
     links = _links(keys, scene)

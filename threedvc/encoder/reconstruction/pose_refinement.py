@@ -19,19 +19,19 @@ from threedvc.encoder.registration.frame_resolutions import ObjectView
 from threedvc.encoder.registration.registration import RegistrationConfig
 from threedvc.encoder.tracking.joint_registration import RegistrationSettings, relocalise_near, reregister
 from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, pose_between
-from threedvc.frames.sequence import FrameSequence, moments
+from threedvc.frames.sequence import FrameSequence, frame_sets
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["refined_script"]
+__all__ = ["refine_poses"]
 
 
-def refined_script(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> PoseTracks:
+def refine_poses(scene: Scene, frames: FrameSequence, config: RegistrationConfig | None = None) -> PoseTracks:
     """Register every object in every frame once more; one that rests in the script goes on resting.
 
     One that was lost is looked for on the way between the frames before and after, and left there if it is not found.
     """
     script: PoseTracks = {number: [] for number in scene.objects}
-    for moment in moments(map(scene.limited, frames), scene.info):
+    for moment in frame_sets(map(scene.with_depth_limit, frames), scene.info):
         looks = [(scene.views(frame), scene.labels(frame)) for frame in moment]
         for number, item in scene.objects.items():
             sights = [ObjectView(views, labels == number) for views, labels in looks]

@@ -167,7 +167,7 @@ class Scene:
         sensor, threads = self.sensor_of(frame.views.frame.sensor), self.config.threads
         numbers = fuse(item.evidence, frame.seen, mask, T_camera_object, sensor, self.config.fusion, threads)
         item.entropy.update(numbers, threads)
-        item.note_sight(numbers, frame.seen.frame)
+        item.note_visible(numbers, frame.seen.frame)
 
     def frame_before(self, frame: int) -> int | None:
         """Return the frame before one of the frames so far that the same sensor took; None for its first."""
@@ -206,7 +206,7 @@ class Scene:
         """Return the resolutions of a frame for registration."""
         return self._intake.views(frame)
 
-    def limited(self, frame: Frame) -> Frame:
+    def with_depth_limit(self, frame: Frame) -> Frame:
         """Return a frame without what is no number, and without measurements beyond the largest depth."""
         return self._intake.with_depth_limit(frame)
 

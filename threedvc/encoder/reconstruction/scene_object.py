@@ -89,7 +89,7 @@ class SceneObject:
             return self.tracker.start(seeing[0], self.number, *rigs)
         return self.tracker.locate(seeing, self.evidence)
 
-    def note_sight(self, numbers: NDArray[np.int64], frame: int) -> None:
+    def note_visible(self, numbers: NDArray[np.int64], frame: int) -> None:
         """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
         more = self.evidence.index.count - len(self._last_sight)
         self._last_sight = np.concatenate([self._last_sight, np.full(more, frame)])

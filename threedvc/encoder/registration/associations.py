@@ -85,7 +85,7 @@ class Associations:
         return cost
 
     def _luma_residuals(self) -> Doubles:
-        expected: Doubles = self.exposure[0] * (self.samples.luma - kernels.LUMA_CENTRE) + self.exposure[1]
+        expected: Doubles = self.exposure[0] * (self.samples.luma - kernels.LUMA_CENTER) + self.exposure[1]
         return self.rows[:, LUMA] - expected
 
 
@@ -94,9 +94,9 @@ def measure_associations(
 ) -> Associations:
     """Measure the exposure of associated samples, if there is none yet, and the scales of both residuals."""
     some = slice(None, None, max(1, len(rows) // MEDIAN_SAMPLES))
-    level, luma = samples.luma[some] - kernels.LUMA_CENTRE, rows[some, LUMA]
+    level, luma = samples.luma[some] - kernels.LUMA_CENTER, rows[some, LUMA]
     if exposure is None:
-        exposure = np.array([1.0, median_of_known(luma - level, kernels.LUMA_CENTRE)])
+        exposure = np.array([1.0, median_of_known(luma - level, kernels.LUMA_CENTER)])
     depth_scale = MAD_TO_SIGMA * median_of_known(np.abs(rows[some, DISTANCE]) / samples.sigma[some], 1.0)
     luma_scale = MAD_TO_SIGMA * median_of_known(np.abs(luma - exposure[0] * level - exposure[1]), 0.0)
     depth_scale, luma_scale = max(depth_scale, MIN_DEPTH_SCALE), max(luma_scale, config.luma_noise)

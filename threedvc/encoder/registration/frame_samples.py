@@ -86,7 +86,7 @@ def _detail(luma: Floats, side: int) -> Floats:
     mean = _window_mean(np.where(known, luma, np.float32(0)), side)
     if not known.all():
         mean /= np.maximum(_window_mean(known.astype(np.float32), side), np.float32(1e-6))
-    return luma - mean + np.float32(kernels.LUMA_CENTRE)
+    return luma - mean + np.float32(kernels.LUMA_CENTER)
 
 
 def _window_mean(picture: Floats, side: int) -> Floats:

@@ -36,7 +36,7 @@ UNDETERMINED = 1e-9
 
 
 def smooth_to_depth(
-    found: Sequence[TrackedPose | None], together: Sequence[TrackedPose | None], blind: Sequence[bool]
+    found: Sequence[TrackedPose | None], synchronised: Sequence[TrackedPose | None], blind: Sequence[bool]
 ) -> list[TrackedPose | None]:
     """Return located frames that go from one to the next as others do, and lie where they did on an average.
 
@@ -51,7 +51,7 @@ def smooth_to_depth(
     blind
         Whether a frame has no depth: it goes with those about it.
     """
-    pairs = list(zip(found, together, strict=True))
+    pairs = list(zip(found, synchronised, strict=True))
     deviations, moves = np.zeros((len(pairs), 6)), np.zeros(len(pairs), dtype=np.bool_)
     for k, (at, both) in enumerate(pairs):
         if at is not None and both is not None and at.usable and at.status is not PoseStatus.KNOWN:

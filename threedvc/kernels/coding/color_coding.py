@@ -39,7 +39,7 @@ CODING_ORDER = (4, 2, 6, 1, 3, 5, 7)
 MAX_ENERGY = 1000
 MAX_QUANTISED = 1 << 22
 NUMBER_LIMIT = 255
-LEAST_IMPORTANCE = 1e-5
+MIN_IMPORTANCE = 1e-5
 
 
 class Quantiser(NamedTuple):
@@ -203,7 +203,7 @@ def code_coefficient(
         set_contexts(mixer, block, place, channel, height, around, slope, magnitude)
         log_odds = mixed_log_odds(mixer)
         if magnitude == 0 and coder.state[READING] == 0:
-            price = quantiser.price / max(block.importance[place], LEAST_IMPORTANCE)
+            price = quantiser.price / max(block.importance[place], MIN_IMPORTANCE)
             value = choose_quantised(block.given[place, channels + channel] - guess, step, log_odds, price)
         if code_mixed_bit(coder, 1 if abs(value) > magnitude else 0, mixer, log_odds) == 0:
             break

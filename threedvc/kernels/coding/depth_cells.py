@@ -22,7 +22,7 @@ MARGIN_CELLS = 1.5
 """How far the layer goes on beyond the border of the picture, where rays of its outermost pixels need it."""
 NEAR = 7
 """Samples that differ by less than a part of this many may belong to the surface around a sample."""
-LEAST_SHARE = 0.5
+MIN_SHARE = 0.5
 """A surface that goes on from a sample ends where its inverse depth is this share of the sample's."""
 OVERLAP = 0.125
 """How far, in cells, the surface may pass beside a cell that counts; without it there are pinholes in creases."""
@@ -134,7 +134,7 @@ def find_range(view: DepthView, y: int, x: int, reach: NDArray[np.float64]) -> t
     nx, ny = across * unit * lens[0], down * unit * lens[1]
     nz = high * unit + nx * (abs(x - lens[2]) + over_x) / lens[0] + ny * (abs(y - lens[3]) + over_y) / lens[1]
     thick = REACH_CELLS * view.cell_size_m * np.sqrt(nx * nx + ny * ny + nz * nz)
-    return max(1.0 - thick, 0.0) / (high * unit), (1.0 + thick) / (max(low, LEAST_SHARE * here) * unit)
+    return max(1.0 - thick, 0.0) / (high * unit), (1.0 + thick) / (max(low, MIN_SHARE * here) * unit)
 
 
 @kernel
@@ -206,7 +206,7 @@ def local_surface(view: DepthView, y: int, x: int, u: float, v: float, surface: 
         return False
     surface[1], surface[2] = tilt(samples, y, x, 0, 1), tilt(samples, y, x, 1, 0)
     surface[0] = here + surface[1] * (u - x) + surface[2] * (v - y)
-    return surface[0] > LEAST_SHARE * here
+    return surface[0] > MIN_SHARE * here
 
 
 @kernel

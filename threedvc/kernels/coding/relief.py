@@ -23,9 +23,9 @@ from threedvc.kernels.coding.entropy import (
     overrun,
 )
 
-__all__ = ["FLAT", "RELIEF_COUNTERS", "UNTOLD", "ReliefCells", "code_relief"]
+__all__ = ["FLAT", "RELIEF_COUNTERS", "UNSET", "ReliefCells", "code_relief"]
 
-UNTOLD = 0
+UNSET = 0
 FLAT = 255
 """Relief of a cell that spans no plane: its centre."""
 SIXTEENTHS = 16
@@ -101,7 +101,7 @@ def guess_relief(job: ReliefCells, n: int, axis: int, levels: int) -> tuple[int,
         if other < 0 or job.occupied[other] == 0:
             continue
         value = np.int64(job.relief[other])
-        known = value != UNTOLD and value != FLAT
+        known = value != UNSET and value != FLAT
         away = np.int64(0)
         for a in range(3):
             place = SIXTEENTHS * (k // 3**a % 3 - 1)

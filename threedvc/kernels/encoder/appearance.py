@@ -84,11 +84,11 @@ def scatter_colors(start, stop, numbers, weights, rows, power, values):
 
 
 @kernel
-def gather_neighbours(neighbours, values, factor, result):
+def gather_neighbours(neighbors, values, factor, result):
     """Add `factor` times the differences of cells to their neighbours (cells, 6), -1: none, to `result` (cells, 3)."""
-    for i in range(neighbours.shape[0]):
+    for i in range(neighbors.shape[0]):
         for k in range(6):
-            other = neighbours[i, k]
+            other = neighbors[i, k]
             if other >= 0:
                 for channel in range(3):
                     result[i, channel] += factor * (values[i, channel] - values[other, channel])

@@ -16,7 +16,7 @@ from threedvc.kernels import kernel
 __all__ = [
     "BEHIND",
     "FITTING",
-    "LUMA_CENTRE",
+    "LUMA_CENTER",
     "ROW",
     "UNKNOWNS",
     "UNSEEN",
@@ -34,7 +34,7 @@ BEHIND = 1
 FITTING = 2
 UNKNOWNS = 8
 ROW = 11
-LUMA_CENTRE = 128.0
+LUMA_CENTER = 128.0
 SAME_RAY = 0.02
 
 
@@ -268,7 +268,7 @@ def accumulate_normal_equations(
     rows: Doubles,
     lumas: Doubles,
     sigmas: Doubles,
-    centre: Doubles,
+    center: Doubles,
     exposure: Doubles,
     scales: Doubles,
     bound: float,
@@ -279,7 +279,7 @@ def accumulate_normal_equations(
 ) -> None:
     """Sum the normal equations of the sample chunks ``start..stop`` into their rows of `sums`.
 
-    Unknowns are a rotation about `centre` and a translation, both in the view's frame, then gain and
+    Unknowns are a rotation about `center` and a translation, both in the view's frame, then gain and
     offset of the frame's luma.
 
     Parameters
@@ -309,14 +309,14 @@ def accumulate_normal_equations(
                 deviation, factor, first = scales[0] * sigmas[i], scales[2], 3
                 equation[6], equation[7] = 0.0, 0.0
                 if term == 1:
-                    level = lumas[i] - LUMA_CENTRE
+                    level = lumas[i] - LUMA_CENTER
                     residual = rows[i, 10] - exposure[0] * level - exposure[1]
                     deviation, factor, first = scales[1], scales[3], 7
                     equation[6], equation[7] = -level, -1.0
                 weight = factor * biweight(residual, bound * deviation) / (deviation * deviation)
                 if weight == 0.0:
                     continue
-                qx, qy, qz = rows[i, 0] - centre[0], rows[i, 1] - centre[1], rows[i, 2] - centre[2]
+                qx, qy, qz = rows[i, 0] - center[0], rows[i, 1] - center[1], rows[i, 2] - center[2]
                 gx, gy, gz = rows[i, first], rows[i, first + 1], rows[i, first + 2]
                 equation[0], equation[1], equation[2] = qy * gz - qz * gy, qz * gx - qx * gz, qx * gy - qy * gx
                 equation[3], equation[4], equation[5] = gx, gy, gz
@@ -336,7 +336,7 @@ def accumulate_agreement(
     slopes: Doubles,
     luma: Doubles,
     rotation: Doubles,
-    centre: Doubles,
+    center: Doubles,
     focal: Doubles,
     every: int,
     shape: Doubles,
@@ -367,7 +367,7 @@ def accumulate_agreement(
     """
     view, frame, seen = np.empty(UNKNOWNS), np.empty(UNKNOWNS), np.empty(3)
     for k in range(0, len(rows), every):
-        arm_x, arm_y, arm_z = rows[k, 0] - centre[0], rows[k, 1] - centre[1], rows[k, 2] - centre[2]
+        arm_x, arm_y, arm_z = rows[k, 0] - center[0], rows[k, 1] - center[1], rows[k, 2] - center[2]
         for part in range(2):
             if part == 0:
                 if states[k] != FITTING:
@@ -391,7 +391,7 @@ def accumulate_agreement(
                 account[0] = arm_y * account[5] - arm_z * account[4]
                 account[1] = arm_z * account[3] - arm_x * account[5]
                 account[2] = arm_x * account[4] - arm_y * account[3]
-                account[6], account[7] = LUMA_CENTRE - luma[k], -1.0
+                account[6], account[7] = LUMA_CENTER - luma[k], -1.0
             sums = shape if part == 0 else picture
             for i in range(size):
                 for j in range(size):

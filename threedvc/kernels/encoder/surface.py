@@ -8,7 +8,7 @@ import numpy as np
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
 
-__all__ = ["count_neighbours", "find_crossings", "mark_surface", "smooth_distances"]
+__all__ = ["count_neighbors", "find_crossings", "mark_surface", "smooth_distances"]
 
 REACH = 3.0
 MAX_JUMP = 4.0
@@ -102,7 +102,7 @@ def mark_surface(
 
 
 @kernel
-def count_neighbours(cells, positions, tables, flags, counts):
+def count_neighbors(cells, positions, tables, flags, counts):
     """Count the set cells among the 26 neighbours of every listed cell; `flags` is (blocks * 512,)."""
     root_origin, root, supers = tables
     for n in range(cells.shape[0]):
@@ -121,8 +121,9 @@ def count_neighbours(cells, positions, tables, flags, counts):
 
 
 @kernel
-def find_crossings(cells, positions, tables, distance, weight, crossings):
-    """Write where a surface passes from the centres of cells (n, 3) along each axis, in cells, to `crossings` (n, 3).
+def find_crossings(cells, positions, tables, distance, weight, subvoxel_offsets):
+    """Write where a surface passes from the centres of cells (n, 3) along each axis, in cells, to `subvoxel_offsets`
+    (n, 3).
 
     `distance` and `weight` are (blocks * 512,), see `EvidenceModel`. Without a change of sign on either side it is the
     end of the cell that is nearer to one.
@@ -149,4 +150,4 @@ def find_crossings(cells, positions, tables, distance, weight, crossings):
                     crossing = way * here / (here - there)
             if crossing == 2.0:
                 crossing = 0.5 if (here > 0) == (slope < 0) else -0.5
-            crossings[n, axis] = crossing
+            subvoxel_offsets[n, axis] = crossing

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from threedvc.kernels import kernel
 
-__all__ = ["interpolate_between", "interpolate_centres", "interpolate_diamonds"]
+__all__ = ["interpolate_between", "interpolate_centers", "interpolate_diamonds"]
 
 MAX_DEPTH_STEP = 0.04
 MAX_BEND = 0.003
@@ -52,7 +52,7 @@ def interpolate_or_want(depth, labels, wanted, place, a, b, c, d):
 
 
 @kernel
-def interpolate_centres(start, stop, width, height, reach, depth, labels, wanted):
+def interpolate_centers(start, stop, width, height, reach, depth, labels, wanted):
     """Interpolate rays amid four at a distance of `reach` to both sides, above and below, or want them cast.
 
     These are at the rows and columns that are odd multiples of `reach`; their neighbours are at even ones.
@@ -85,7 +85,7 @@ def interpolate_diamonds(start, stop, width, height, reach, depth, labels, wante
     """Interpolate rays amid four at a distance of `reach` above, below, left and right, or want them cast.
 
     These are at the rows and columns of which one is an odd, the other an even multiple of `reach`. Parameters are
-    those of `interpolate_centres`.
+    those of `interpolate_centers`.
     """
     for n in range(start, stop):
         row = n * reach
@@ -104,7 +104,7 @@ def interpolate_between(start, stop, width, height, reach, depth, labels, wanted
     """Interpolate the rays between those at even multiples of `reach`, or want them cast.
 
     Squares ``start..stop`` in rows of squares: the corners are known already. Parameters are those of
-    `interpolate_centres`.
+    `interpolate_centers`.
     """
     for row in range(2 * reach * start, min(2 * reach * stop, height), 2 * reach):
         for column in range(0, width, 2 * reach):

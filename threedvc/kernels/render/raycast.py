@@ -32,7 +32,7 @@ FRONTAL = 0.3
 MAX_DISTANCE = 2.0
 NEAR_END = 0.95
 PLANE_SCALE = 127.0
-LEAST_NORMAL = 1.0
+MIN_NORMAL = 1.0
 BLOCK_NUDGE, RAY_NUDGE = 1e-9, 1e-6
 """How far in cells a ray is pushed over the boundary of cells, or blocks, so that it lies behind it when rounded."""
 ROUNDING = 1e-15
@@ -322,7 +322,7 @@ def pass_cube(occupied, axis, plane, block, base, line, t, t_out, before, opacit
         else:
             nearest = FAR
     nx, ny, nz = normal
-    if nx * nx + ny * ny + nz * nz > LEAST_NORMAL:
+    if nx * nx + ny * ny + nz * nz > MIN_NORMAL:
         outward = normal
     return hit, (after if last == t_out else FAR), Passage(nearest_at, nearest, crossed, outward)
 

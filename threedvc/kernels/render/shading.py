@@ -9,8 +9,8 @@ from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
 
 __all__ = [
-    "LEAST_WEIGHT",
     "LIGHT_TERMS",
+    "MIN_WEIGHT",
     "find_normals",
     "interpolation",
     "light_bases",
@@ -21,9 +21,9 @@ __all__ = [
     "shade_from_picture",
 ]
 
-LEAST_WEIGHT = 1e-9
+MIN_WEIGHT = 1e-9
 LIGHT_TERMS = 8
-LEAST_LIGHT = 0.05
+MIN_LIGHT = 0.05
 
 
 @kernel
@@ -50,7 +50,7 @@ def interpolation(x, y, z, tables, colored, positions, weights):
         positions[k] = 0
         if cell >= 0 and colored[cell]:
             positions[k] = cell
-            weights[k] = (x if kx else 1.0 - x) * (y if ky else 1.0 - y) * (z if kz else 1.0 - z) + LEAST_WEIGHT
+            weights[k] = (x if kx else 1.0 - x) * (y if ky else 1.0 - y) * (z if kz else 1.0 - z) + MIN_WEIGHT
             total += weights[k]
     if total <= 0.0:
         return False
@@ -100,7 +100,7 @@ def shade(start, stop, slopes, depth, labels, label, T_cells_camera, tables, col
             else:
                 cell = find_cell(ix + kx, iy + ky, iz + kz, root_origin, root, supers)
             if cell >= 0 and colored[cell]:
-                w = (px if kx else 1.0 - px) * (py if ky else 1.0 - py) * (pz if kz else 1.0 - pz) + LEAST_WEIGHT
+                w = (px if kx else 1.0 - px) * (py if ky else 1.0 - py) * (pz if kz else 1.0 - pz) + MIN_WEIGHT
                 total += w
                 red += w * colors[cell, 0]
                 green += w * colors[cell, 1]
@@ -268,6 +268,6 @@ def relight(
         factor = 1.0
         for k in range(LIGHT_TERMS):
             factor += light[k] * terms[k]
-        factor = max(factor, LEAST_LIGHT)
+        factor = max(factor, MIN_LIGHT)
         for k in range(3):
             color[n, k] = color[n, k] * factor

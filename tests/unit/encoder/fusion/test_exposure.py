@@ -27,7 +27,7 @@ INFO = SequenceInfo(
     name="room", rig=CameraRig.registered_to(CAMERA), depth_scale=1000.0, fps=10.0, frame_count=8, has_camera_poses=True
 )
 LIVE = EncoderConfig(
-    causal=True, motion=Motion.KNOWN, sensor=Sensor.IDEAL, voxel_size_m=0.05, threads=2, group_frames=2
+    causal=True, motion=Motion.KNOWN, sensor=Sensor.IDEAL, voxel_size_m=0.05, threads=2, batch_frames=2
 )
 FACTORS = np.array([1.0, 1.0, 1.0, 1.1, 1.2, 1.2, 0.9, 0.7])
 

@@ -341,10 +341,10 @@ def test_depth_through_a_lens_is_straight_again() -> None:
         (np.abs(model.distance.reshape(-1)[: len(cells)]) < CELL)
         & (model.distance_weight.reshape(-1)[: len(cells)] > 0)
     )
-    centres = (cells[near] + 0.5) * CELL
+    centers = (cells[near] + 0.5) * CELL
     assert len(near) > 800
     # Along a viewing ray the way to a slanted wall is longer by its slope.
-    away = (1.2 + 0.3 * centres[:, 0] - centres[:, 2]) / (1 - 0.3 * centres[:, 0] / centres[:, 2])
+    away = (1.2 + 0.3 * centers[:, 0] - centers[:, 2]) / (1 - 0.3 * centers[:, 0] / centers[:, 2])
     np.testing.assert_allclose(model.distance.reshape(-1)[near], away, atol=0.01)
 
 

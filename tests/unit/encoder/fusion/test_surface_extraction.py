@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from threedvc.config import FusionConfig, Sensor
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
-from threedvc.encoder.fusion.surface_extraction import Surface, grouped_by_region, read_surface
+from threedvc.encoder.fusion.surface_extraction import Surface, extract_surface, grouped_by_region
 from threedvc.encoder.rate.model_updates import first_visible_update, incremental_update
 from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import identity
-from threedvc.kernels.encoder.surface import count_neighbours
+from threedvc.kernels.encoder.surface import count_neighbors
 from threedvc.model.block_index import BLOCK_CELLS, morton_keys
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
@@ -56,7 +56,7 @@ def evidence(*depths: Depth, times: int = 1) -> EvidenceModel:
     return model
 
 
-def centres(cells: NDArray[np.int32]) -> NDArray[np.float64]:
+def centers(cells: NDArray[np.int32]) -> NDArray[np.float64]:
     return (cells + 0.5) * CELL
 
 
@@ -71,23 +71,23 @@ def columns(cells: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def test_a_wall_is_one_layer_of_cells() -> None:
-    surface = read_surface(evidence(flat(1.21), times=3), 1)
-    np.testing.assert_allclose(centres(surface.cells)[:, 2], 1.21, atol=1e-6)
+    surface = extract_surface(evidence(flat(1.21), times=3), 1)
+    np.testing.assert_allclose(centers(surface.cells)[:, 2], 1.21, atol=1e-6)
     assert len(columns(surface.cells)) == 39 * 29
     assert set(columns(surface.cells)) == {1}
 
 
 @pytest.mark.parametrize("z", [1.2, 1.2037, 1.2099])
 def test_a_wall_anywhere_in_its_cell_is_one_layer(z: float) -> None:
-    surface = read_surface(evidence(flat(z), times=3), 1)
-    assert np.abs(centres(surface.cells)[:, 2] - z).max() <= 0.5 * CELL + 1e-6
+    surface = extract_surface(evidence(flat(z), times=3), 1)
+    assert np.abs(centers(surface.cells)[:, 2] - z).max() <= 0.5 * CELL + 1e-6
     assert set(columns(surface.cells)) == {1}
     assert len(columns(surface.cells)) == 39 * 29
 
 
 def test_a_slanted_wall_has_no_holes_and_no_depth() -> None:
-    surface = read_surface(evidence(slanted(), times=3), 1)
-    points = centres(surface.cells)
+    surface = extract_surface(evidence(slanted(), times=3), 1)
+    points = centers(surface.cells)
     away = (points[:, 2] - 0.4 * points[:, 0] + 0.2 * points[:, 1] - 1.2) / np.sqrt(1.2)
     assert np.abs(away).max() < CELL
     assert columns(surface.cells).max() <= 2
@@ -95,18 +95,18 @@ def test_a_slanted_wall_has_no_holes_and_no_depth() -> None:
 
 
 def test_a_ball_is_a_thin_shell() -> None:
-    surface = read_surface(evidence(ball(), times=3), 1)
-    radius = np.linalg.norm(centres(surface.cells) - [0, 0, 1.3], axis=1)
+    surface = extract_surface(evidence(ball(), times=3), 1)
+    radius = np.linalg.norm(centers(surface.cells) - [0, 0, 1.3], axis=1)
     assert len(surface.cells) > 800
     assert np.abs(radius - 0.4).max() < 1.2 * CELL
-    assert np.all(centres(surface.cells)[:, 2] < 1.3 + CELL)
+    assert np.all(centers(surface.cells)[:, 2] < 1.3 + CELL)
 
 
 def test_cells_come_in_morton_order_with_colour_and_first_sight() -> None:
     model = EvidenceModel(CELL)
     for index, shade in [(4, 90), (5, 110)]:
         add(model, flat(1.21), index, shade)
-    surface = read_surface(model, 1)
+    surface = extract_surface(model, 1)
     assert np.all(np.diff(morton_keys(surface.cells)) > 0)
     assert np.all(surface.first_seen == 4)
     assert (surface.cells.dtype, surface.colors.dtype) == (np.int32, np.int16)
@@ -116,7 +116,7 @@ def test_cells_come_in_morton_order_with_colour_and_first_sight() -> None:
 
 def test_nothing_known_no_surface() -> None:
     for model in (EvidenceModel(CELL), evidence(np.zeros((48, 60), dtype=np.float32))):
-        surface = read_surface(model, 1)
+        surface = extract_surface(model, 1)
         assert (surface.cells.shape, surface.colors.shape, surface.first_seen.shape) == ((0, 3), (0, 3), (0,))
 
 
@@ -124,34 +124,34 @@ def test_a_vanished_thing_is_no_surface() -> None:
     before = flat(1.51)
     before[15:33, 20:40] = 0.81
     model = evidence(before, times=4)
-    assert np.any(centres(read_surface(model, 1).cells)[:, 2] < 1.0)
+    assert np.any(centers(extract_surface(model, 1).cells)[:, 2] < 1.0)
     for index in range(8):
         add(model, flat(1.51), 4 + index)
-    assert not np.any(centres(read_surface(model, 1).cells)[:, 2] < 1.0)
+    assert not np.any(centers(extract_surface(model, 1).cells)[:, 2] < 1.0)
 
 
 def test_specks_are_noise() -> None:
     depth = np.zeros((48, 60), dtype=np.float32)
     depth[10, 10] = 0.31
-    assert len(read_surface(evidence(depth, times=5), 1).cells) == 0
+    assert len(extract_surface(evidence(depth, times=5), 1).cells) == 0
 
 
 def test_threads_do_not_matter() -> None:
     model = evidence(ball(), slanted())
-    one, three = read_surface(model, 1), read_surface(model, 3)
+    one, three = extract_surface(model, 1), extract_surface(model, 3)
     for name in ("cells", "colors", "first_seen"):
         np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
 
 
 def test_a_cell_without_colour_takes_that_of_a_neighbour() -> None:
     model = evidence(flat(1.21), times=2)
-    position = model.index.locate(read_surface(model, 1).cells[:200:3])
+    position = model.index.locate(extract_surface(model, 1).cells[:200:3])
     model.color_weight.reshape(-1)[position] = 0
     model.color.reshape(-1, 3)[position] = 0
-    colors = read_surface(model, 1).colors
+    colors = extract_surface(model, 1).colors
     assert np.all(np.abs(colors[:100].astype(int) - 100) <= 1)
     model.color_weight[:] = 0
-    assert np.all(read_surface(model, 1).colors == 128)
+    assert np.all(extract_surface(model, 1).colors == 128)
 
 
 def test_neighbours_are_counted_as_by_hand(rng: np.random.Generator) -> None:
@@ -160,7 +160,7 @@ def test_neighbours_are_counted_as_by_hand(rng: np.random.Generator) -> None:
     model.apply(update(cells))
     asked = rng.integers(-11, 11, (100, 3)).astype(np.int32)
     counts = np.zeros(len(asked), dtype=np.int32)
-    count_neighbours(asked, model.index.locate(asked), model.index.tables, model.occupied.reshape(-1), counts)
+    count_neighbors(asked, model.index.locate(asked), model.index.tables, model.occupied.reshape(-1), counts)
     near = np.abs(asked[:, None] - cells[None]).max(axis=2) == 1
     np.testing.assert_array_equal(counts, near.sum(axis=1))
 
@@ -183,7 +183,7 @@ def surface_of(cells: list[tuple[int, int, int]], seen: list[int]) -> Surface:
         cells=array,
         colors=colors,
         first_seen=np.array(seen, dtype=np.int32),
-        crossings=np.zeros((len(array), 3), dtype=np.float32),
+        subvoxel_offsets=np.zeros((len(array), 3), dtype=np.float32),
     )
 
 
@@ -225,7 +225,7 @@ def test_live_only_what_is_sure_is_sent() -> None:
 
 def test_live_a_surface_that_shifts_by_a_cell_is_not_doubled() -> None:
     model, sent = evidence(flat(1.21), times=6), DecodedModel(CELL)
-    shifted = read_surface(model, 1).cells - [0, 0, 1]
+    shifted = extract_surface(model, 1).cells - [0, 0, 1]
     sent.apply(update(shifted.astype(np.int32)))
     due = incremental_update(model, sent, 1)
     # At most the rim, where a sent surface may go on.
@@ -238,14 +238,14 @@ def test_live_what_vanished_is_taken_away() -> None:
     before[15:33, 20:40] = 0.81
     model, sent = evidence(before, times=6), DecodedModel(CELL)
     sent.apply(incremental_update(model, sent, 1))
-    assert np.any(centres(sent.cells()[0])[:, 2] < 1.0)
+    assert np.any(centers(sent.cells()[0])[:, 2] < 1.0)
     for index in range(12):
         add(model, flat(1.51), 6 + index)
     due = incremental_update(model, sent, 1)
     assert len(due.removed) > 50
-    assert np.all(centres(due.removed)[:, 2] < 1.1)
+    assert np.all(centers(due.removed)[:, 2] < 1.1)
     sent.apply(due)
-    assert not np.any(centres(sent.cells()[0])[:, 2] < 1.0)
+    assert not np.any(centers(sent.cells()[0])[:, 2] < 1.0)
 
 
 @pytest.mark.parametrize(("levels", "sent_again"), [(10, False), (40, True)])
@@ -284,6 +284,6 @@ def test_cells_of_a_region_are_first_seen_together() -> None:
         cells=cells,
         colors=np.zeros((4, 3), np.int16),
         first_seen=np.array([7, 3, 9, EvidenceModel.NEVER], np.int32),
-        crossings=np.zeros((4, 3), np.float32),
+        subvoxel_offsets=np.zeros((4, 3), np.float32),
     )
     assert grouped_by_region(surface).first_seen.tolist() == [3, 3, 9, EvidenceModel.NEVER]

@@ -49,7 +49,7 @@ class Grid:
         cube: NDArray[np.float32] = after.reshape(-1)[self.positions].reshape(SIDE, SIDE, SIDE)
         return cube
 
-    def crossings(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
+    def subvoxel_offsets(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
         found = np.empty((len(cells), 3), dtype=np.float32)
         positions = self.index.locate(cells)
         find_crossings(cells, positions, self.index.tables, self.distance.reshape(-1), self.weight.reshape(-1), found)
@@ -59,8 +59,8 @@ class Grid:
 def plane(normal: tuple[float, float, float], offset: float) -> NDArray[np.float64]:
     """Return signed distances in metres, positive before the plane."""
     unit = np.array(normal) / np.linalg.norm(normal)
-    centres = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1) - (SIDE - 1) / 2
-    return (centres @ unit - offset) * CELL
+    centers = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1) - (SIDE - 1) / 2
+    return (centers @ unit - offset) * CELL
 
 
 def slowly_smoothed(distance: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -126,7 +126,7 @@ def test_crossings_of_a_plane_are_where_it_cuts_the_axes(normal: tuple[float, fl
     unit = np.array(normal) / np.linalg.norm(normal)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = -here[:, None] / unit
-    found = Grid(distance).crossings(cells)
+    found = Grid(distance).subvoxel_offsets(cells)
     cut = np.abs(expected) <= 0.99
     assert cut.any()
     np.testing.assert_allclose(found[cut], expected[cut], atol=1e-3)
@@ -142,5 +142,5 @@ def test_a_crossing_needs_a_neighbour_that_was_measured() -> None:
     middle = SIDE // 2
     weight[:, :, middle] = 0.0  # the cells just behind the plane
     cell = np.array([[5, 5, middle - 1]], dtype=np.int32)
-    assert Grid(distance).crossings(cell)[0, 2] == pytest.approx(0.7)
-    assert Grid(distance, weight).crossings(cell)[0, 2] == 0.5
+    assert Grid(distance).subvoxel_offsets(cell)[0, 2] == pytest.approx(0.7)
+    assert Grid(distance, weight).subvoxel_offsets(cell)[0, 2] == 0.5

@@ -12,9 +12,9 @@ from helpers.streams import ListSequence, drawn
 from threedvc.coding.color import ColorSettings
 from threedvc.config import (
     EncoderConfig,
-    Focus,
     Motion,
     Preset,
+    RegionOfInterest,
     SegmentationConfig,
     SegmentationMode,
     Sensor,
@@ -52,7 +52,11 @@ def errors(sequence: ListSequence, packets: list[Packet]) -> tuple[float, float]
 
 
 def test_weights_of_object_and_box() -> None:
-    focuses = [Focus(weight=4, number=1), Focus(weight=3, box_m=BOX), Focus(weight=2, number=0)]
+    focuses = [
+        RegionOfInterest(weight=4, number=1),
+        RegionOfInterest(weight=3, box_m=BOX),
+        RegionOfInterest(weight=2, number=0),
+    ]
     np.testing.assert_allclose(roi_weights(focuses, 1, CELLS, 0.1), 4)
     np.testing.assert_allclose(roi_weights(focuses, 0, CELLS, 0.1), [2, 6, 6, 2])
     np.testing.assert_allclose(roi_weights([], 0, CELLS, 0.1), 1)
@@ -64,12 +68,12 @@ def test_steps_follow_the_heaviest_cell() -> None:
     same, steps = with_roi_weights(update, settings, (), 0, 0.1)
     assert same is update
     assert steps is settings
-    weighted, steps = with_roi_weights(update, settings, (Focus(weight=4, box_m=BOX),), 0, 0.1)
+    weighted, steps = with_roi_weights(update, settings, (RegionOfInterest(weight=4, box_m=BOX),), 0, 0.1)
     assert weighted.importance is not None
     np.testing.assert_allclose(weighted.importance, [0.25, 1, 1, 0.25])
     assert (steps.luma_step, steps.chroma_step) == (8, 16)
     seen = replace(update, importance=np.array([2, 1, 1, 1], np.float32))
-    weighted, _ = with_roi_weights(seen, settings, (Focus(weight=4, box_m=BOX),), 0, 0.1)
+    weighted, _ = with_roi_weights(seen, settings, (RegionOfInterest(weight=4, box_m=BOX),), 0, 0.1)
     assert weighted.importance is not None
     np.testing.assert_allclose(weighted.importance, [0.5, 1, 1, 0.25])
 
@@ -85,7 +89,7 @@ def test_an_object_in_focus_gets_better_at_the_cost_of_the_rest() -> None:
     config = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=MASKS, voxel_size_m=0.02)
     plain = replace(with_preset(config, Preset.FAST), bitrate_bps=60e3)
     numbers = {int(number) for frame in sequence.frames for number in np.unique(frame.mask)} - {0}
-    focus = tuple(Focus(weight=10, number=number) for number in sorted(numbers))
+    focus = tuple(RegionOfInterest(weight=10, number=number) for number in sorted(numbers))
     made = [list(Encoder(sequence.info, each).packets(sequence)) for each in (plain, replace(plain, focus=focus))]
     (background, objects), (background_beside, objects_in_focus) = (errors(sequence, packets) for packets in made)
     assert objects_in_focus < 0.95 * objects
@@ -101,7 +105,7 @@ def test_a_box_in_focus_gets_better(causal: bool) -> None:
     )
     whole = (-50.0, 50.0, -50.0, 50.0, -50.0, 50.0)
     sizes, squares = [], []
-    for focus in ((), (Focus(weight=16, box_m=whole),)):
+    for focus in ((), (RegionOfInterest(weight=16, box_m=whole),)):
         packets = list(Encoder(sequence.info, replace(config, focus=focus)).packets(sequence))
         sizes.append(stream_bytes(packets))
         squares.append(errors(sequence, packets)[0])
@@ -111,6 +115,6 @@ def test_a_box_in_focus_gets_better(causal: bool) -> None:
 
 def test_a_focus_on_an_object_that_is_not_there_is_refused() -> None:
     sequence = scene("room", 3)
-    config = EncoderConfig(threads=2, sensor=Sensor.IDEAL, focus=(Focus(weight=4, number=7),), refine=False)
+    config = EncoderConfig(threads=2, sensor=Sensor.IDEAL, focus=(RegionOfInterest(weight=4, number=7),), refine=False)
     with pytest.raises(ConfigError, match="focus on object 7: room has object 0; name one of them"):
         list(Encoder(sequence.info, config).packets(sequence))

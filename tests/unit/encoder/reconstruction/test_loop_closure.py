@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from threedvc.config import EncoderConfig, Motion
-from threedvc.encoder.reconstruction.loop_closure import MAX_KEYFRAMES, closed_loops, corrected, key_numbers
+from threedvc.encoder.reconstruction.loop_closure import MAX_KEYFRAMES, close_loops, corrected, key_numbers
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.pose_track import TrackedPose
 from threedvc.frames.frame import Frame
@@ -58,7 +58,7 @@ def test_a_path_that_returns_meets_its_start(frames: list[Frame]) -> None:
     true = true_poses(frames)
     scene = scene_at(frames, drifted(true))
     before = errors(scene.objects[0].found, true)
-    closed = closed_loops(scene, frames)
+    closed = close_loops(scene, frames)
     assert closed is not None
     after = errors(closed, true)
     assert before[-1] > 0.08
@@ -68,12 +68,12 @@ def test_a_path_that_returns_meets_its_start(frames: list[Frame]) -> None:
 
 def test_exact_poses_stay(frames: list[Frame]) -> None:
     true = true_poses(frames)
-    closed = closed_loops(scene_at(frames, true), frames)
+    closed = close_loops(scene_at(frames, true), frames)
     assert closed is None or errors(closed, true).max() < 1e-4
 
 
 def test_a_short_path_has_no_loop(frames: list[Frame]) -> None:
-    assert closed_loops(scene_at(frames[:4], true_poses(frames)[:4]), frames[:4]) is None
+    assert close_loops(scene_at(frames[:4], true_poses(frames)[:4]), frames[:4]) is None
 
 
 def test_frames_between_are_corrected_by_shares() -> None:

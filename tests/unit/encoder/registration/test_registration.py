@@ -62,9 +62,9 @@ def run(
     return register(problem(seen, view, mask, **options), guess)
 
 
-def errors(found: Pose, true: Pose, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[float, float]:
+def errors(found: Pose, true: Pose, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[float, float]:
     """Displacement of a point of the object in millimetres, and angle in degrees."""
-    point = np.array([*centre, 1.0])
+    point = np.array([*center, 1.0])
     turn = rotation_angle(found @ inverse(true))
     return 1000 * float(np.linalg.norm((found - true) @ point)), float(np.degrees(turn))
 
@@ -486,11 +486,11 @@ class TestKernels:
         rows[:, 10] = lumas + rng.normal(size=count) * 20
         rows[rng.random(count) < 0.2, 6] = np.nan
         rows[rng.random(count) < 0.2, 10] = np.nan
-        sigmas, centre = rng.uniform(0.001, 0.003, count), np.array([0.1, -0.2, 1.0])
+        sigmas, center = rng.uniform(0.001, 0.003, count), np.array([0.1, -0.2, 1.0])
         exposure, scales = np.array([1.1, 120.0]), np.array([1.3, 8.0, 1.7, 0.7])
         chunks = -(-count // chunk)
         sums = np.empty((chunks, 2, kernels.UNKNOWNS, kernels.UNKNOWNS + 1))
-        given = rows, lumas, sigmas, centre, exposure, scales, 4.685
+        given = rows, lumas, sigmas, center, exposure, scales, 4.685
         kernels.accumulate_normal_equations(*given, chunk, sums, 0, chunks)
         matrix, side = reference.normal_equations(*given)
         total = sums.sum(axis=(0, 1))
@@ -505,14 +505,14 @@ def test_agreement_is_the_product_of_both_accounts() -> None:
     states, sigma = rng.integers(0, 3, count).astype(np.uint8), rng.uniform(0.001, 0.01, count)
     slopes, luma = rng.normal(size=(count, 2)), rng.uniform(0, 255, count)
     slopes[::11] = np.nan
-    rotation, centre = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    rotation, center = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
     focal, shape, picture = np.array([500.0, 510.0]), np.zeros((6, 6)), np.zeros((8, 8))
     kernels.accumulate_agreement(
-        rows, states, surface, sigma, slopes, luma, rotation, centre, focal, every, shape, picture
+        rows, states, surface, sigma, slopes, luma, rotation, center, focal, every, shape, picture
     )
 
     def product(chosen: NDArray[np.bool_], *accounts: NDArray[np.float64]) -> NDArray[np.float64]:
-        arms = rows[chosen, :3] - centre
+        arms = rows[chosen, :3] - center
         left, right = (np.hstack([np.cross(arms, each[:, :3]), each]) for each in accounts)
         return np.asarray(left.T @ right)
 
@@ -524,6 +524,6 @@ def test_agreement_is_the_product_of_both_accounts() -> None:
     across = slopes[good] * focal / surface[good, 2:3]
     along = -np.sum(across * surface[good, :2], axis=1) / surface[good, 2]
     seen = np.column_stack([across, along]) @ rotation.T
-    rest = np.column_stack([kernels.LUMA_CENTRE - luma[good], np.full(len(seen), -1.0)])
+    rest = np.column_stack([kernels.LUMA_CENTER - luma[good], np.full(len(seen), -1.0)])
     expected = product(good, np.hstack([rows[good, 7:10], rest]), np.hstack([seen, rest]))
     np.testing.assert_allclose(picture, expected)

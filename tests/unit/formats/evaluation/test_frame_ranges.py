@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from threedvc.formats.evaluation.frame_ranges import Span, spans_of
+from threedvc.formats.evaluation.frame_ranges import FrameSpan, ranges_of
 
 
 @pytest.mark.parametrize(
@@ -13,8 +13,8 @@ from threedvc.formats.evaluation.frame_ranges import Span, spans_of
     [([], ""), ([7], "7"), ([0, 1, 2], "0-2"), ([100, 101, 102, 154], "100-102, 154"), ([1, 3, 5], "1, 3, 5")],
 )
 def test_text(frames: list[int], text: str) -> None:
-    assert ", ".join(map(str, spans_of(frames))) == text
+    assert ", ".join(map(str, ranges_of(frames))) == text
 
 
 def test_first_and_last() -> None:
-    assert spans_of(iter([4, 5, 9])) == (Span(4, 5), Span(9, 9))
+    assert ranges_of(iter([4, 5, 9])) == (FrameSpan(4, 5), FrameSpan(9, 9))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from threedvc.errors import SequenceError
 from threedvc.formats.decoding import DecodedFrame
-from threedvc.formats.evaluation.frame_ranges import Span
+from threedvc.formats.evaluation.frame_ranges import FrameSpan
 from threedvc.formats.evaluation.object_comparison import ObjectComparison, ObjectQuality, matched
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_from_vector
@@ -203,7 +203,7 @@ class TestSpurious:
         ghost = picture(o1=(0, 5), o4=(20, 25))
         comparison = compared([thing, ghost, ghost, thing, ghost], [thing, thing, None, thing, thing])
         (found,) = comparison.spurious() or []
-        assert (found.number, found.frames, found.spans) == (4, 3, (Span(1, 2), Span(4, 4)))
+        assert (found.number, found.frames, found.spans) == (4, 3, (FrameSpan(1, 2), FrameSpan(4, 4)))
 
     def test_the_second_half_of_an_object_is_spurious(self) -> None:
         comparison = compared([picture(o1=(0, 8), o2=(8, 12))], [picture(o1=(0, 12))])

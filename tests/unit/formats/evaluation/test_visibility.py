@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from reference.rendering import model_of_cells, surface_cells
 from threedvc.config import RenderConfig
 from threedvc.decoder.frame_state import FrameState
-from threedvc.formats.evaluation.frame_ranges import Span
-from threedvc.formats.evaluation.timeline import Course
+from threedvc.formats.evaluation.frame_ranges import FrameSpan
+from threedvc.formats.evaluation.timeline import StreamTimeline
 from threedvc.formats.evaluation.visibility import VisibilityDetector
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_from_vector
@@ -111,8 +111,8 @@ def state(index: int, T_world_camera: Pose, T_world_object: Mapping[int, Pose]) 
 
 
 class TestCourse:
-    def course(self, visible: list[set[int]], poses: list[Pose], cameras: list[Pose] | None = None) -> Course:
-        course = Course()
+    def course(self, visible: list[set[int]], poses: list[Pose], cameras: list[Pose] | None = None) -> StreamTimeline:
+        course = StreamTimeline()
         for index, (numbers, pose) in enumerate(zip(visible, poses, strict=True)):
             camera = np.eye(4) if cameras is None else cameras[index]
             course.add(state(index, camera, {1: pose}), frozenset(numbers))
@@ -120,8 +120,8 @@ class TestCourse:
 
     def test_leaving_and_coming_back(self, models: dict[int, DecodedModel]) -> None:
         course = self.course([{0}, {0, 1}, {0, 1}, {0}, {0, 1}], [at(0, 1)] * 5)
-        assert course.spans(1) == (Span(1, 2), Span(4, 4))
-        assert course.spans(0) == (Span(0, 4),)
+        assert course.spans(1) == (FrameSpan(1, 2), FrameSpan(4, 4))
+        assert course.spans(0) == (FrameSpan(0, 4),)
         assert course.spans(7) == ()
         assert course.counts(models) == [0, 1, 1, 0, 1]
 
@@ -160,4 +160,4 @@ class TestCourse:
         assert course.object_travel(1, models[1]) is None
         assert self.course([{0, 1}], [at(0, 1)]).object_travel(1, DecodedModel(CELL)) is None
         assert self.course([{0}], [at(0, 1)]).object_travel(0, models[0]) is None
-        assert Course().camera_travel() is None
+        assert StreamTimeline().camera_travel() is None
