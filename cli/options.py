@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from threedvc.errors import ConfigError
+from threedvc.formats.layout_names import layout_names
 
 if TYPE_CHECKING:
     from threedvc.config import RegionOfInterest, SegmentationConfig
@@ -42,8 +43,6 @@ __all__ = [
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# Written out here because the module that lists them loads OpenCV, which --help must not wait for.
-LAYOUTS = ("auto", "plain", "tum", "7scenes", "redwood", "icl-nuim", "bare", "flat")
 OUTPUTS = ("color", "depth", "labels")
 DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
 LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
@@ -161,7 +160,7 @@ def focus(text: str) -> RegionOfInterest:
 def reader_options(function: F) -> F:
     """Add the options of a `ReaderRequest`: each a tuple, given once, or once for each sensor."""
     options = [
-        click.option("--layout", type=click.Choice(LAYOUTS), multiple=True,
+        click.option("--layout", type=click.Choice(layout_names()), multiple=True,
                      help="Layout of the recording.  [default: auto]"),
         click.option("--color", metavar="DIR", multiple=True, help="Folder of colour pictures."),
         click.option("--depth", metavar="DIR", multiple=True, help="Folder of 16-bit depth pictures."),

@@ -19,6 +19,13 @@ settings.register_profile("3dvc", deadline=None, max_examples=EXAMPLES, derandom
 settings.load_profile("3dvc")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave recorded sequences to make test-long: they are where somebody put them, and take minutes."""
+    for item in items:
+        if "data_dir" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.long)
+
+
 @pytest.fixture(scope="session")
 def repository() -> Path:
     """Return the top folder of the checkout."""

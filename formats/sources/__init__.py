@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from threedvc.formats.layout_names import layout_names
 from threedvc.formats.sources.opening import FrameRange, open_sequence
-from threedvc.formats.sources.registry import layout_names
 from threedvc.formats.sources.sequence import FolderSequence
 from threedvc.formats.sources.several import open_sensors
 

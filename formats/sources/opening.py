@@ -9,9 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.layout_names import AUTO
 from threedvc.formats.sources.files.intrinsics import MAX_FPS, MIN_FPS
 from threedvc.formats.sources.recording import KnownCameras, Recording, SourceOptions
-from threedvc.formats.sources.registry import AUTO, find_layout
+from threedvc.formats.sources.registry import find_layout
 from threedvc.formats.sources.sequence import FolderSequence
 from threedvc.geometry.pose_readings import AS_GIVEN, PoseReading, pose_reading
 from threedvc.stream.input_options import InputOptions
@@ -42,7 +43,7 @@ def open_sequence(
     path
         The recording's folder.
     layout
-        ``auto`` or one of `registry.layout_names`.
+        ``auto`` or one of `threedvc.formats.layout_names`.
     color, depth
         Folders of pictures, relative to `path` or to the current folder, for layouts that take them.
     intrinsics

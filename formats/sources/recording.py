@@ -142,12 +142,15 @@ class Layout:
         Lists a recording; raises SequenceError or ConfigError.
     takes_folders
         Whether the colour and depth folders can be given.
+    trial
+        When it is tried, where the layout is not told: the more telling its files, the sooner.
     """
 
     name: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, SourceOptions], Recording]
     takes_folders: bool = False
+    trial: int = 60
 
 
 def resolved(folder: Path, given: str) -> Path:

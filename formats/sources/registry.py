@@ -1,27 +1,30 @@
 # SPDX-License-Identifier: MIT
-"""The layouts that 3dvc reads, in the order in which they are tried: the most telling first."""
+"""The layouts that 3dvc reads, and which of them a folder has."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 from threedvc.errors import ConfigError, SequenceError
-from threedvc.formats.sources.layouts import bare, flat, icl_nuim, plain, redwood, seven_scenes, tum
+from threedvc.formats.layout_names import AUTO, layout_modules, layout_names
+from threedvc.formats.sources.layouts import bare
 from threedvc.formats.sources.recording import Layout, SourceOptions
 
-__all__ = ["AUTO", "LAYOUTS", "find_layout", "layout_names"]
+__all__ = ["LAYOUTS", "find_layout"]
 
-AUTO = "auto"
-LAYOUTS: tuple[Layout, ...] = (
-    icl_nuim.LAYOUT,
-    tum.LAYOUT,
-    seven_scenes.LAYOUT,
-    plain.LAYOUT,
-    redwood.LAYOUT,
-    bare.LAYOUT,
-    flat.LAYOUT,
-)
 
+def _layouts() -> Iterator[Layout]:
+    """Yield the layout of every module in `threedvc.formats.sources.layouts`, which calls it ``LAYOUT``."""
+    for name, module in layout_modules().items():
+        layout: Layout = import_module(f"threedvc.formats.sources.layouts.{module}").LAYOUT
+        assert layout.name == name, f"{module}.LAYOUT is called {layout.name}, expected {name}"
+        yield layout
+
+
+LAYOUTS: tuple[Layout, ...] = tuple(sorted(_layouts(), key=lambda layout: layout.trial))
+"""In the order in which they are tried."""
 
 EXPORTS = (
     (("rgb.mp4", "odometry.csv"), "a recording of Stray Scanner, whose colour is a video; take its frames out as "
@@ -38,11 +41,6 @@ EXPORTS = (
 """What other programs leave, by the files that tell it, and what to do."""
 RTABMAP = ("rgb", "depth", "calib", "poses.txt")
 """What RTAB-Map exports: poses.txt has times, where that of the plain layout has the frames' numbers."""
-
-
-def layout_names() -> tuple[str, ...]:
-    """Return what a user may ask for: ``auto`` and the name of each layout."""
-    return AUTO, *(layout.name for layout in LAYOUTS)
 
 
 def find_layout(folder: Path, name: str, options: SourceOptions) -> Layout:

@@ -11,10 +11,10 @@ from typing import TypeVar
 import numpy as np
 
 from threedvc.errors import ConfigError, SequenceError
+from threedvc.formats.layout_names import AUTO
 from threedvc.formats.sources.files.poses import pose_from_numbers, read_matrix, rigid_poses
 from threedvc.formats.sources.files.text import read_json_value
 from threedvc.formats.sources.opening import FrameRange, open_sequence
-from threedvc.formats.sources.registry import AUTO
 from threedvc.formats.sources.sequence import FolderSequence
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import Pose, inverse

@@ -23,15 +23,16 @@ from helpers.streams import FRAMES, FakeStream, ListSequence, packed_stream, roa
 from threedvc.cli import explore as explore_module
 from threedvc.cli.encode import SENSORS
 from threedvc.cli.main import main
-from threedvc.cli.options import LAYOUTS
 from threedvc.config import Motion, SegmentationMode, Sensor
 from threedvc.errors import OutputError, RegistrationFailed
 from threedvc.formats import decoding, encoding
 from threedvc.formats.container.layout import SYNC
 from threedvc.formats.evaluation import statistics as statistics_module
+from threedvc.formats.layout_names import layout_names
 from threedvc.formats.sinks import PlainSink
-from threedvc.formats.sources import layout_names, open_sequence
+from threedvc.formats.sources import open_sequence
 from threedvc.formats.sources.notices import Notice
+from threedvc.formats.sources.registry import LAYOUTS
 
 
 def run(*arguments: object, **options: Any) -> Result:
@@ -264,7 +265,7 @@ class TestEncode:
         assert result.stderr == f"Error: {message.format(recording=recording)}\n"
 
     def test_choices_are_those_of_the_library(self) -> None:
-        assert set(LAYOUTS) == set(layout_names())
+        assert {layout.name for layout in LAYOUTS} == set(layout_names()) - {"auto"}
         assert set(SENSORS) == {member.value for member in Sensor}
 
 

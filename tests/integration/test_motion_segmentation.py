@@ -189,7 +189,6 @@ def test_downsampling_keeps_every_nth_pixel() -> None:
     np.testing.assert_array_equal(small.depth, frame.depth[::2, ::2])
 
 
-@pytest.mark.slow
 def test_two_toys_are_two_objects(sequence_dir: Callable[[str], Path]) -> None:
     from threedvc.formats.sources import open_sequence
 

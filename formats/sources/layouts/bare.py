@@ -77,4 +77,4 @@ def _poses(folder: Path, numbers: Sequence[int]) -> tuple[dict[int, Pose | None]
     return ({}, None) if place is None else (read_pose_folder(place, numbers), place)
 
 
-LAYOUT = Layout(name="bare", recognises=recognises, read=read, takes_folders=True)
+LAYOUT = Layout(name="bare", recognises=recognises, read=read, takes_folders=True, trial=80)

@@ -68,4 +68,4 @@ def _require_both(folder: Path, colors: Sequence[Path], depths: Sequence[Path]) 
         )
 
 
-LAYOUT = Layout(name="flat", recognises=recognises, read=read)
+LAYOUT = Layout(name="flat", recognises=recognises, read=read, trial=90)

@@ -77,4 +77,4 @@ def _ground_truth(folder: Path) -> dict[int, Pose]:
     return {row.integer(0): MIRROR @ pose_from_row(row) @ MIRROR for row in rows}
 
 
-LAYOUT = Layout(name="icl-nuim", recognises=recognises, read=read)
+LAYOUT = Layout(name="icl-nuim", recognises=recognises, read=read, trial=10)

@@ -211,4 +211,4 @@ def _poses_of_object(path: Path, label: str, entries: object, count: int) -> lis
     return list(zip(known, poses, strict=True))
 
 
-LAYOUT = Layout(name="plain", recognises=recognises, read=read, takes_folders=True)
+LAYOUT = Layout(name="plain", recognises=recognises, read=read, takes_folders=True, trial=40)

@@ -114,4 +114,4 @@ def _poses(folder: Path, count: int) -> Sequence[Pose | None]:
     return poses
 
 
-LAYOUT = Layout(name="redwood", recognises=recognises, read=read, takes_folders=True)
+LAYOUT = Layout(name="redwood", recognises=recognises, read=read, takes_folders=True, trial=50)

@@ -113,4 +113,4 @@ def _poses(folder: Path, files: Mapping[int, Mapping[str, Path]]) -> dict[int, P
     return {number: read_known_matrix(path) for number, path in paths.items()}
 
 
-LAYOUT = Layout(name="7scenes", recognises=recognises, read=read)
+LAYOUT = Layout(name="7scenes", recognises=recognises, read=read, trial=30)

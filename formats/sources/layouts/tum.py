@@ -228,4 +228,4 @@ def _known_camera(folder: Path) -> Camera | None:
     return CAMERAS[sequence[1]] if sequence else None
 
 
-LAYOUT = Layout(name="tum", recognises=recognises, read=read)
+LAYOUT = Layout(name="tum", recognises=recognises, read=read, trial=20)

@@ -63,7 +63,7 @@ def test_file_instead_of_folder(recording: Path) -> None:
 
 def test_unknown_layout_name(recording: Path) -> None:
     assert message(recording, layout="bundle") == (
-        "--layout bundle: no such layout; choose one of auto, icl-nuim, tum, 7scenes, plain, redwood, bare, flat"
+        "--layout bundle: no such layout; choose one of auto, 7scenes, bare, flat, icl-nuim, plain, redwood, tum"
     )
     assert layout_names()[0] == "auto"
 
