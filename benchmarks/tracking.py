@@ -108,23 +108,23 @@ class StreamTimeline:
 
 def tracked(frames: Sequence[Frame], info: SequenceInfo, recording: Recording) -> StreamTimeline:
     """Track all frames as the first pass of the encoder does."""
-    scene, course = Scene(info, replace(recording.config, motion=Motion.TRACK)), StreamTimeline()
+    scene, timeline = Scene(info, replace(recording.config, motion=Motion.TRACK)), StreamTimeline()
     for frame in frames:
         began = time.perf_counter()
-        course.status.append(scene.add(frame))
-        course.seconds += time.perf_counter() - began
+        timeline.status.append(scene.add(frame))
+        timeline.seconds += time.perf_counter() - began
         for number, item in scene.objects.items():
             at = item.found[-1]
             if at is None or not at.usable:
                 continue
             if not number and frame.T_world_camera is not None:
-                course.camera.append((frame.T_world_camera, inverse(at.T_camera_object)))
-                course.numbers.append(frame.index)
+                timeline.camera.append((frame.T_world_camera, inverse(at.T_camera_object)))
+                timeline.numbers.append(frame.index)
             elif number in frame.T_camera_object:
-                course.objects.setdefault(number, []).append((frame.T_camera_object[number], at.T_camera_object))
+                timeline.objects.setdefault(number, []).append((frame.T_camera_object[number], at.T_camera_object))
     trackers = [item.tracker for item in scene.objects.values() if item.tracker is not None]
-    course.tracking_s = max(sum(tracker.stopwatch.seconds for tracker in trackers), 1e-9)
-    return course
+    timeline.tracking_s = max(sum(tracker.stopwatch.seconds for tracker in trackers), 1e-9)
+    return timeline
 
 
 def rows(folders: Sequence[Path], limit: int | None) -> Iterator[list[str]]:
@@ -135,8 +135,8 @@ def rows(folders: Sequence[Path], limit: int | None) -> Iterator[list[str]]:
         tracked(frames[:WARM_UP], recording.info, recording)
         for name, disturb in DISTURBANCES.items():
             if not name or folder.name in DISTURBED:
-                course = tracked(disturb(frames), recording.info, recording)
-                yield course.row(folder.name, name)
+                timeline = tracked(disturb(frames), recording.info, recording)
+                yield timeline.row(folder.name, name)
 
 
 def main(arguments: list[str] | None = None) -> None:

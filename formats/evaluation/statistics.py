@@ -157,20 +157,20 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
-    byte_counts, decoder, course = ByteCounts(), Decoder(captured_depth=False), StreamTimeline()
+    byte_counts, decoder, timeline = ByteCounts(), Decoder(captured_depth=False), StreamTimeline()
     detectors: dict[int, VisibilityDetector] = {}
     packets = byte_counts.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):
         for state in decoder.frames(packets):
             if state.sensor not in detectors:
                 detectors[state.sensor] = VisibilityDetector(decoder.rigs[state.sensor])
-            course.add(state, detectors[state.sensor].visible(decoder.models, state.T_camera_object))
+            timeline.add(state, detectors[state.sensor].visible(decoder.models, state.T_camera_object))
     if decoder.header is None:
         raise TruncatedStream(f"{name}: ends before its STREAM packet; nothing can be reported")
     file_bytes = file.seek(0, os.SEEK_END)
-    objects, frames = _objects(byte_counts, decoder, course), len(course.times_ns)
+    objects, frames = _objects(byte_counts, decoder, timeline), len(timeline.times_ns)
     headers: list[StreamHeader | SensorHeader] = [decoder.header, *decoder.sensors]
-    sensors = [_sensor(number, header, course) for number, header in enumerate(headers)]
+    sensors = [_sensor(number, header, timeline) for number, header in enumerate(headers)]
     report = StreamStatistics(
         name=decoder.header.name,
         complete=decoder.complete,
@@ -179,19 +179,19 @@ def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
         raw_bytes=sum(sensor.raw_bytes for sensor in sensors),
         packets=byte_counts.packets,
         objects=objects,
-        per_frame=_per_frame(course, decoder, byte_counts.frame_bytes(frames, file_bytes)),
-        paper=_paper(objects, course, decoder.rigs),
+        per_frame=_per_frame(timeline, decoder, byte_counts.frame_bytes(frames, file_bytes)),
+        paper=_paper(objects, timeline, decoder.rigs),
         sensors=sensors,
-        travel=course.camera_travel(),
+        travel=timeline.camera_travel(),
     )
     return report, decoder
 
 
-def _objects(byte_counts: ByteCounts, decoder: Decoder, course: StreamTimeline) -> list[ObjectStatistics]:
+def _objects(byte_counts: ByteCounts, decoder: Decoder, timeline: StreamTimeline) -> list[ObjectStatistics]:
     objects = []
     for number, model in sorted(decoder.models.items()):
-        spans = course.spans(number)
-        ended = bool(spans) and spans[-1].last < len(course.times_ns) - 1
+        spans = timeline.spans(number)
+        ended = bool(spans) and spans[-1].last < len(timeline.times_ns) - 1
         objects.append(
             ObjectStatistics(
                 id=number,
@@ -204,14 +204,14 @@ def _objects(byte_counts: ByteCounts, decoder: Decoder, course: StreamTimeline) 
                 spans=spans,
                 birth=spans[0].first if spans else None,
                 death=spans[-1].last if ended else None,
-                travel=course.object_travel(number, model),
+                travel=timeline.object_travel(number, model),
             )
         )
     return objects
 
 
-def _sensor(number: int, header: StreamHeader | SensorHeader, course: StreamTimeline) -> SensorStatistics:
-    rig, channels, frames = rig_of(header), 1 if header.grey else 3, course.sensors.count(number)
+def _sensor(number: int, header: StreamHeader | SensorHeader, timeline: StreamTimeline) -> SensorStatistics:
+    rig, channels, frames = rig_of(header), 1 if header.grey else 3, timeline.sensors.count(number)
     raw_bytes = rig.color.width * rig.color.height * channels + rig.depth.width * rig.depth.height * DEPTH_BYTES
     return SensorStatistics(
         number=number,
@@ -222,32 +222,32 @@ def _sensor(number: int, header: StreamHeader | SensorHeader, course: StreamTime
     )
 
 
-def _paper(objects: Sequence[ObjectStatistics], course: StreamTimeline, rigs: Sequence[CameraRig]) -> PaperAccounting:
+def _paper(objects: Sequence[ObjectStatistics], timeline: StreamTimeline, rigs: Sequence[CameraRig]) -> PaperAccounting:
     # A single pose only says where an object stands.
     moving = [item for item in objects if item.poses > 1]
     return PaperAccounting(
         cells=sum(item.cells for item in moving),
         pose_frames=sum(item.poses for item in moving),
-        frames=len(course.sensors),
+        frames=len(timeline.sensors),
         pixels=max(rig.color.width * rig.color.height for rig in rigs),
     )
 
 
-def _per_frame(course: StreamTimeline, decoder: Decoder, sizes: Sequence[int]) -> list[FrameStatistics]:
-    told, counts = decoder.report, course.counts(decoder.models)
-    frames = range(len(course.times_ns))
+def _per_frame(timeline: StreamTimeline, decoder: Decoder, sizes: Sequence[int]) -> list[FrameStatistics]:
+    told, counts = decoder.report, timeline.counts(decoder.models)
+    frames = range(len(timeline.times_ns))
     entropies = dict(zip(frames, told.entropy_bits, strict=False))
     status = dict(zip(frames, told.status, strict=False))
     return [
         FrameStatistics(
             frame=frame,
-            timestamp_ns=course.times_ns[frame],
+            timestamp_ns=timeline.times_ns[frame],
             bytes=sizes[frame],
-            T_world_camera=course.T_world_camera[frame],
+            T_world_camera=timeline.T_world_camera[frame],
             visible_objects=counts[frame],
             entropy_bits=entropies.get(frame),
             status=status.get(frame),
-            sensor=course.sensors[frame],
+            sensor=timeline.sensors[frame],
         )
         for frame in frames
     ]

@@ -141,8 +141,8 @@ class MergedSequence:
         T_world_camera, poses = frame.T_world_camera, dict[int, Pose]()
         if self._camera is not None:
             T_world_camera = compose(self._camera.at(place.time_ns), inverse(rig.T_depth_base))
-        for number, course in self._objects.items():
-            poses[number] = rig.at_sensor(course.at(place.time_ns))
+        for number, timeline in self._objects.items():
+            poses[number] = rig.at_sensor(timeline.at(place.time_ns))
         color_time = frame.color_timestamp_ns
         return replace(
             frame,
@@ -184,11 +184,11 @@ def _ordered(times_ns: Sequence[Sequence[int]]) -> list[_Place]:
         for number, time in enumerate(accumulate(own, max))
     ]
     places: list[_Place] = []
-    moment, there = 0, set[int]()
+    frame_set, there = 0, set[int]()
     for time, sensor, number in sorted(frames):
-        synchronised = bool(places) and time - moment <= TOGETHER_NS and sensor not in there
+        synchronised = bool(places) and time - frame_set <= TOGETHER_NS and sensor not in there
         if not synchronised:
-            moment, there = time, set()
+            frame_set, there = time, set()
         there.add(sensor)
         places.append(_Place(sensor, number, times_ns[sensor][number], synchronised))
     return places

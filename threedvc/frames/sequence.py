@@ -45,14 +45,14 @@ def frame_sets(frames: Iterable[Frame], info: SequenceInfo) -> Iterator[list[Fra
     if not info.sensors:
         yield from ([frame] for frame in frames)
         return
-    moment: list[Frame] = []
+    frame_set: list[Frame] = []
     for frame in frames:
-        if moment and not frame.synchronised:
-            yield moment
-            moment = []
-        moment.append(frame)
-    if moment:
-        yield moment
+        if frame_set and not frame.synchronised:
+            yield frame_set
+            frame_set = []
+        frame_set.append(frame)
+    if frame_set:
+        yield frame_set
 
 
 def sampling_stride(count: int, most: int, info: SequenceInfo) -> int:

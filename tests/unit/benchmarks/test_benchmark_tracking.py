@@ -35,7 +35,7 @@ def test_disturbances(frames: list[Frame]) -> None:
 
 def test_row() -> None:
     shifted = make_pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
-    course = StreamTimeline(
+    timeline = StreamTimeline(
         status=[PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.LOST],
         camera=[(identity(), shifted), (shifted, shifted @ shifted)],
         numbers=[0, 1],
@@ -43,7 +43,7 @@ def test_row() -> None:
         tracking_s=0.5,
         seconds=1.5,
     )
-    assert course.row("desk", "black") == [
+    assert timeline.row("desk", "black") == [
         "desk", "black", "3", "1", "1", "0", "1", "0.0", "0.0", "0.000", "0.00", "0.00", "6.0", "2.0"
     ]  # fmt: skip
     assert StreamTimeline(status=[PoseStatus.TRACKED], tracking_s=1, seconds=1).row("a", "")[7:12] == ["-"] * 5

@@ -44,7 +44,7 @@ COLORED_CELLS = BackgroundChoice()
 
 
 def choose_background(
-    scene: Scene, config: EncoderConfig, finished: FittedAppearance | None, luma_step: float
+    scene: Scene, config: EncoderConfig, fitted: FittedAppearance | None, luma_step: float
 ) -> BackgroundChoice:
     """Choose between the image of the background, at the best of its qualities, and coloured cells.
 
@@ -62,29 +62,29 @@ def choose_background(
     luma_step
         Step q that the quality of the image follows.
     """
-    if finished is None or finished.backdrop is None or not can_encode_pictures():
+    if fitted is None or fitted.backdrop is None or not can_encode_pictures():
         return COLORED_CELLS
-    price = 8 * luma_step**2 * np.log(2) / 6 * finished.pixels_per_cell / object_weight(config.focus, 0)
-    payload, image_cost = finished.backdrop.best(price)
-    size, picture = _drawn_cells(scene, config, finished)
-    cells_cost = finished.backdrop.error(picture) + price * (size - _colorless_size(scene, config, finished))
-    return BackgroundChoice(payload, finished.depths) if image_cost < cells_cost else COLORED_CELLS
+    price = 8 * luma_step**2 * np.log(2) / 6 * fitted.pixels_per_cell / object_weight(config.focus, 0)
+    payload, image_cost = fitted.backdrop.best(price)
+    size, picture = _drawn_cells(scene, config, fitted)
+    cells_cost = fitted.backdrop.error(picture) + price * (size - _colorless_size(scene, config, fitted))
+    return BackgroundChoice(payload, fitted.depths) if image_cost < cells_cost else COLORED_CELLS
 
 
-def _drawn_cells(scene: Scene, config: EncoderConfig, finished: FittedAppearance) -> tuple[int, NDArray[np.uint8]]:
+def _drawn_cells(scene: Scene, config: EncoderConfig, fitted: FittedAppearance) -> tuple[int, NDArray[np.uint8]]:
     """Return the bytes of the background's cells with their colours, and the picture (h, w, 3) drawn of them."""
-    size, decoded = _coded(scene, config, finished.surfaces[0])
+    size, decoded = _coded(scene, config, fitted.surfaces[0])
     model = RenderModel(decoded)
     model.refresh(config.threads)
     renderer = Renderer(scene.info.rig, RenderConfig(supersample=1, threads=config.threads))
     return size, renderer.draw({0: model}, {0: scene.objects[0].poses[0]}).color
 
 
-def _colorless_size(scene: Scene, config: EncoderConfig, finished: FittedAppearance) -> int:
+def _colorless_size(scene: Scene, config: EncoderConfig, fitted: FittedAppearance) -> int:
     """Return the bytes of the background's geometry alone."""
-    if finished.depths is not None:
-        return len(finished.depths.payload)
-    surface = finished.surfaces[0]
+    if fitted.depths is not None:
+        return len(fitted.depths.payload)
+    surface = fitted.surfaces[0]
     return _coded(scene, config, replace(surface, colors=np.zeros_like(surface.colors)))[0]
 
 

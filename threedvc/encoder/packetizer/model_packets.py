@@ -54,13 +54,13 @@ class ModelPackets:
     """
 
     def __init__(
-        self, scene: SceneSource, config: EncoderConfig, finished: FittedAppearance | None, background: BackgroundChoice
+        self, scene: SceneSource, config: EncoderConfig, fitted: FittedAppearance | None, background: BackgroundChoice
     ) -> None:
         self._scene, self._config = scene, config
-        self._finished, self._background = finished, background
+        self._fitted, self._background = fitted, background
         self._color = color_settings(config.color, scene.info.grey)
         # Number of the object of completed surfaces, and the edge of its cells in metres.
-        self._completed = {} if finished is None or finished.inferred is None else dict([finished.inferred])
+        self._completed = {} if fitted is None or fitted.inferred is None else dict([fitted.inferred])
         self._surfaces: dict[int, Surface] = {}
 
     def numbers(self) -> list[int]:
@@ -69,8 +69,8 @@ class ModelPackets:
 
     def born(self, number: int) -> int | None:
         """Return the first frame that shows an object; None if no frame has so far."""
-        if self._finished is not None and number in self._completed:
-            return int(self._finished.surfaces[number].first_seen.min())
+        if self._fitted is not None and number in self._completed:
+            return int(self._fitted.surfaces[number].first_seen.min())
         return self._scene.objects[number].born
 
     def new_model(self, number: int) -> DecodedModel:
@@ -80,7 +80,7 @@ class ModelPackets:
             return DecodedModel(self._completed[number], guessed=True)
         if number == 0 and self._background.depth_map is not None:
             return DecodedModel(self._background.depth_map.voxel_size_m, relief_bits=RELIEF_BITS)
-        plain = self._finished is None
+        plain = self._fitted is None
         scale, relief_bits = (1, 0) if plain else (appearance.texture_scale, appearance.relief_bits or 0)
         item = self._scene.objects[number]
         return DecodedModel(item.evidence.voxel_size_m, scale, relief_bits=relief_bits, passing=item.passing)
@@ -99,7 +99,7 @@ class ModelPackets:
 
     def lights(self, number: int, batch: BatchFrames, *, new: bool) -> Iterator[Packet]:
         """Yield the lights on an object that begin in a batch, and the present one if the object is new."""
-        script = () if self._finished is None else self._finished.colors.lights.get(number, ())
+        script = () if self._fitted is None else self._fitted.colors.lights.get(number, ())
         if script and new:
             yield LightHeader(object_id=number, frame=batch.first).packet(pack_light(light_at(script, batch.first)))
         for frame, factors in script[1:]:
@@ -154,9 +154,9 @@ class ModelPackets:
         return self._surfaces[sent.number]
 
     def _read_surface(self, number: int) -> Surface:
-        if self._finished is None:
+        if self._fitted is None:
             return extract_surface(self._scene.objects[number].evidence, self._config.threads, smooth=True)
-        surface = self._finished.surfaces[number]
+        surface = self._fitted.surfaces[number]
         if number == 0 and self._background.image is not None:
             return replace(surface, colors=np.zeros_like(surface.colors))
         return surface
@@ -193,13 +193,13 @@ class ModelPackets:
 
     def _texture(self, sent: SentObject, frame: int) -> Iterator[Packet]:
         """Yield the colours of the texels of cells that were just sent."""
-        if self._finished is None or sent.model.texture is None:
+        if self._fitted is None or sent.model.texture is None:
             return
         texels = sent.model.uncolored_texels()
         if not len(texels):
             return
         owners = sent.model.index.locate(texels // sent.model.texture.scale)
-        colors = self._finished.colors.texel_colors(sent.number, texels, sent.model.color.reshape(-1, 3)[owners])
+        colors = self._fitted.colors.texel_colors(sent.number, texels, sent.model.color.reshape(-1, 3)[owners])
         settings = with_steps_scaled(self._color, object_weight(self._config.focus, sent.number))
         payload, decoded = encode_texture(sent.model, texels, colors, settings)
         sent.model.texture.paint(texels, decoded)

@@ -70,15 +70,15 @@ class Packetizer:
         self,
         scene: SceneSource,
         config: EncoderConfig,
-        finished: FittedAppearance | None = None,
+        fitted: FittedAppearance | None = None,
         background: BackgroundChoice = COLORED_CELLS,
         filters: PostFilter | None = None,
         videos: Sequence[Packet] = (),
     ) -> None:
-        self._scene, self._finished = scene, finished
+        self._scene, self._fitted = scene, fitted
         self._background, self._filters, self._videos = background, filters, videos
         self._sent = SentState(scene, pose_steps(scene, config.pose))
-        self._models = ModelPackets(scene, config, finished, background)
+        self._models = ModelPackets(scene, config, fitted, background)
         self._budget = BatchBudget(config, scene.info.fps, self.stream_headers())
         self._max_idle = MAX_IDLE_FRAMES
         if config.causal:
@@ -158,11 +158,11 @@ class Packetizer:
 
     def _sensor_members(self, batch: BatchFrames) -> Iterator[Packet]:
         """Yield what changes of sensors: their order, clocks, shifts and gains."""
-        finished, scene = self._finished, self._scene
-        gains = np.stack([record.gain for record in scene.records]) if finished is None else finished.gains
+        fitted, scene = self._fitted, self._scene
+        gains = np.stack([record.gain for record in scene.records]) if fitted is None else fitted.gains
         yield from order_packets(self._sent, scene, batch)
         yield from clock_packets(self._sent, scene, batch)
-        yield from shift_packets(self._sent, scene, () if finished is None else finished.shifts, batch)
+        yield from shift_packets(self._sent, scene, () if fitted is None else fitted.shifts, batch)
         yield from gain_packets(self._sent, scene, gains, batch)
 
     def _picture_members(self, batch: BatchFrames) -> Iterator[Packet]:

@@ -31,33 +31,33 @@ def refine_poses(scene: Scene, frames: FrameSequence, config: RegistrationConfig
     One that was lost is looked for on the way between the frames before and after, and left there if it is not found.
     """
     script: PoseTracks = {number: [] for number in scene.objects}
-    for moment in frame_sets(map(scene.with_depth_limit, frames), scene.info):
-        looks = [(scene.views(frame), scene.labels(frame)) for frame in moment]
+    for frame_set in frame_sets(map(scene.with_depth_limit, frames), scene.info):
+        prepared = [(scene.views(frame), scene.labels(frame)) for frame in frame_set]
         for number, item in scene.objects.items():
-            sights = [ObjectView(views, labels == number) for views, labels in looks]
-            script[number] += [_refined(scene, item, sights, script[number], config)] * len(moment)
+            seen = [ObjectView(views, labels == number) for views, labels in prepared]
+            script[number] += [_refined(scene, item, seen, script[number], config)] * len(frame_set)
     return script
 
 
 def _refined(
     scene: Scene,
     item: SceneObject,
-    sights: Sequence[ObjectView],
+    seen: Sequence[ObjectView],
     before: list[TrackedPose | None],
     config: RegistrationConfig | None,
 ) -> TrackedPose | None:
-    frame = sights[0].views.frame
+    frame = seen[0].views.frame
     at, default = item.found[frame.index], RegistrationConfig()
     settings = RegistrationSettings(sensor_of=scene.sensor_of, threads=scene.config.threads, config=config or default)
     if at is None or at.status is PoseStatus.UNSEEN:
         return at
     if not at.usable:
         between = pose_between(item.found, frame.index)
-        return relocalise_near(at, between, sights, item.evidence, replace(settings, config=default))
+        return relocalise_near(at, between, seen, item.evidence, replace(settings, config=default))
     if frame.index and before[-1] is not None:
         previous = item.found[frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):
             return replace(at, T_camera_object=before[-1].T_camera_object)
     if item.is_given(at):
         return at
-    return reregister(at, sights, item.evidence, settings)
+    return reregister(at, seen, item.evidence, settings)

@@ -21,7 +21,7 @@ from threedvc.stream.pose_status import PoseStatus
 __all__ = ["MIN_PIXELS", "SceneObject"]
 
 MIN_PIXELS = 30
-SIGHT_FRAMES = 5
+VISIBLE_FRAMES = 5
 
 
 class SceneObject:
@@ -65,24 +65,24 @@ class SceneObject:
         self.born: int | None = None
         self.sized_by = 0
         self._stayed = 0, True
-        self._last_sight = np.zeros(0, dtype=np.int64)
+        self._last_visible = np.zeros(0, dtype=np.int64)
 
     def begin_anew(self, voxel_size_m: float, pixels: int) -> None:
         """Take other cells, chosen by a frame that shows `pixels` of the object, and forget what the old ones held."""
         self.evidence = EvidenceModel(voxel_size_m)
         self.entropy = EntropyMeter(self.evidence)
-        self._last_sight = np.zeros(0, dtype=np.int64)
+        self._last_visible = np.zeros(0, dtype=np.int64)
         self.sized_by = pixels
 
-    def locate(self, sights: Sequence[ObjectView], rigs: Sequence[CameraRig], alone: bool) -> TrackedPose | None:
+    def locate(self, seen: Sequence[ObjectView], rigs: Sequence[CameraRig], alone: bool) -> TrackedPose | None:
         """Find the object in the frames of a moment; None where it is not seen and its pose is not known."""
         if self.tracker is None:
-            known = ((views.rig, known_pose(self.number, views.frame, alone)) for views, _ in sights)
+            known = ((views.rig, known_pose(self.number, views.frame, alone)) for views, _ in seen)
             pose = next((rig.at_base(pose) for rig, pose in known if pose is not None), None)
             return None if pose is None else TrackedPose(T_camera_object=pose, status=PoseStatus.KNOWN)
-        seeing = [each for each in sights if np.count_nonzero(each.mask & (each.views.frame.depth > 0)) >= MIN_PIXELS]
+        seeing = [each for each in seen if np.count_nonzero(each.mask & (each.views.frame.depth > 0)) >= MIN_PIXELS]
         if not seeing:
-            views = sights[0].views
+            views = seen[0].views
             blind = self.number == 0 and self.born is not None and not views.frame.depth.any()
             return self.tracker.locate_by_picture(views) if blind else None
         if self.born is None:
@@ -91,14 +91,14 @@ class SceneObject:
 
     def note_visible(self, numbers: NDArray[np.int64], frame: int) -> None:
         """Note that blocks `numbers` (n,) of the evidence were in the field of view of a frame."""
-        more = self.evidence.index.count - len(self._last_sight)
-        self._last_sight = np.concatenate([self._last_sight, np.full(more, frame)])
-        self._last_sight[numbers] = frame
+        more = self.evidence.index.count - len(self._last_visible)
+        self._last_visible = np.concatenate([self._last_visible, np.full(more, frame)])
+        self._last_visible[numbers] = frame
 
     @property
     def in_sight(self) -> NDArray[np.bool_]:
         """Which blocks (n,) of the evidence were in the field of view in the last few frames."""
-        return np.asarray(self._last_sight > self._last_sight.max(initial=0) - SIGHT_FRAMES)
+        return np.asarray(self._last_visible > self._last_visible.max(initial=0) - VISIBLE_FRAMES)
 
     @property
     def stayed(self) -> bool:
