@@ -13,7 +13,7 @@ from helpers.streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.encoder.fusion.noise_meter import MIN_METERED_FRAMES, NoiseMeter
 from threedvc.encoder.pipeline.encoder import Encoder
-from threedvc.encoder.reconstruction.scene import METERED_FRAMES, Scene
+from threedvc.encoder.reconstruction.frame_intake import METERED_FRAMES, Scene
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.synthesis import SyntheticSequence, make_scene
 

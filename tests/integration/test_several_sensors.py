@@ -272,7 +272,7 @@ class TestTracking:
         tracked = Scene(merged.info, FAST)
         status = [tracked.add(*moment) for moment in frame_sets(merged, merged.info)]
         assert "lost" not in status
-        own = [k for k, sensor in enumerate(tracked.sensors) if sensor == 1]
+        own = [k for k, record in enumerate(tracked.records) if record.sensor == 1]
         true = [frame.T_world_camera for frame in right if frame.T_world_camera is not None]
         found = [inverse(merged.info.rigs[1].at_sensor(tracked.objects[0].poses[k])) for k in own]
         assert trajectory_error(true, found, list(range(FRAMES))).ate_rmse_mm < 20
