@@ -35,7 +35,7 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
-from threedvc.encoder.rate.model_updates import first_sights
+from threedvc.encoder.rate.model_updates import first_visible_update
 from threedvc.encoder.rate.trial_coding import color_settings
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.registration.frame_resolutions import Downsampled
@@ -55,16 +55,23 @@ __all__ = ["Measurement", "compare", "main", "measure"]
 
 BASELINE = Path(__file__).with_name("ci_baseline.json")
 SIZE, FRAMES = (160, 120), 12
+"""Small enough to run with each change."""
 VOXEL_SIZE_M = 0.03
+"""Fixed, so that a change of how cells are chosen does not pass for a change of speed."""
 ROUNDS = 5
 """Turns of stage and yardstick; the least of each is what it takes undisturbed."""
 MAX_SLOWER, MAX_LARGER = 1.25, 1.02
+"""Times the baseline: beyond what the yardstick leaves of the noise of a shared machine, and a change of size that
+somebody should explain."""
 MAX_PSNR_LOSS_DB, MAX_WITHIN_LOSS = 0.1, 0.002
+"""Below the baseline, and of the share of depth within 1 %: too little to see, more than rounding explains."""
 STENCIL_SIDE, SORTED = 1200, 300_000
 """Sizes of the yardstick: a few tens of milliseconds, half of it compiled loops, half NumPy."""
 
 LIVE = replace(with_preset(EncoderConfig(), Preset.LIVE), threads=1, motion=Motion.TRACK, voxel_size_m=VOXEL_SIZE_M)
 FILE = replace(with_preset(EncoderConfig(), Preset.FAST), threads=1, motion=Motion.KNOWN, voxel_size_m=VOXEL_SIZE_M)
+"""Both presets by which something is measured: one that tracks and sends as it goes, one that fuses first; a single
+thread, so that the number of cores does not matter."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ def _encoder_stages(sequence: SyntheticSequence, frames: Sequence[Frame]) -> dic
 
     def entropy_coding() -> None:
         model = DecodedModel(VOXEL_SIZE_M)
-        encode_update_with_result(first_sights(surface, model, None), *model.cells(), settings)
+        encode_update_with_result(first_visible_update(surface, model, None), *model.cells(), settings)
 
     return {"fusion": fusion, "tracking view": tracking_view, "entropy coding": entropy_coding}
 

@@ -17,12 +17,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.units import MILLIMETRES
+
 __all__ = ["colored_depth", "main", "montage"]
 
 Picture = NDArray[np.uint8]
 
 LABEL_HEIGHT = 22
+"""Pixels of the bar above a picture: a line of text."""
 ROWS = 4
+"""Frames unless told: start, end and two between fill a page."""
 
 
 def pictures(folder: Path, kind: str) -> list[Path]:
@@ -42,7 +46,7 @@ def pictures(folder: Path, kind: str) -> list[Path]:
 def depth_scale(folder: Path) -> float:
     """Return the units per metre of a folder's depth pictures, 1000 where it does not say."""
     description = json.loads((folder / "intrinsics.json").read_text(encoding="utf-8"))
-    return float(description.get("depth_scale", 1000))
+    return float(description.get("depth_scale", MILLIMETRES))
 
 
 def read(path: Path, flags: int) -> NDArray[np.generic]:

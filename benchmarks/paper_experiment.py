@@ -23,6 +23,7 @@ from spheres import Spheres, View, draw, spheres_of_cells
 from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.formats.container import open_output
 from threedvc.formats.decoding import open_stream
@@ -34,25 +35,33 @@ from threedvc.geometry.pose import rotation_from_vector
 from threedvc.metrics.depth_errors import DepthErrors, depth_units
 from threedvc.metrics.picture_quality import psnr
 from threedvc.parallel import default_threads
-from threedvc.stream.frame_report import FrameReport
 from threedvc.synthesis import SyntheticSequence, make_scene
 from threedvc.synthesis.scenes import PAPER_THRESHOLD_M
+from threedvc.units import MILLIMETRES
 
 __all__ = ["main", "run", "write_decoded", "write_input", "write_spheres"]
 
 Picture = NDArray[np.uint8]
 
 FRAMES = 150
+"""Of the paper's video: 5 s."""
 SEGMENTATION = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.1, far_m=PAPER_THRESHOLD_M)
+"""The paper finds the object by a threshold of depth."""
 
 # A cell whose probability is nearer to 1/2 was hardly measured.
 LEARNED_LOG_ODDS = 0.1
 SPHERES_WIDTH_PX = 800
+"""Of a figure, on a page."""
 ASIDE_RAD = np.radians(25.0)
+"""Of views of the model against the camera's: aslant, so that depth is seen."""
 DOWNWARD = -0.3
+"""Slope of these views: a little from above."""
 RANGE_ENLARGEMENT = 3
+"""Pixels of 100x100 pictures would be too small to see."""
 DARKEST_GREY = 40
+"""Of the farthest depth: black stands for none."""
 ROW_HEIGHT_PX = 240
+"""Of the montage of frames, on a page."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -102,18 +111,27 @@ def run(sequence: FrameSequence, path: Path, voxel_size_m: float | None) -> Resu
         segmentation=SEGMENTATION,
         refine=False,
     )
-    encoder = Encoder(sequence.info, config)
-    snapshots: dict[int, Snapshot] = {}
-
-    def keep(frame: FrameReport) -> None:
-        if frame.index + 1 in (EARLY, len(sequence)):
-            snapshots[frame.index + 1] = snapshot(encoder.scene.objects[OBJECT])
-
     with open_output(path) as writer:
-        for packet in encoder.packets(sequence, keep):
+        for packet in Encoder(sequence.info, config).packets(sequence):
             writer.write(packet)
     psnr_db, depth = object_quality(sequence, path)
-    return Result(snapshots=snapshots, statistics=statistics(path, sequence), object_psnr=psnr_db, object_depth=depth)
+    return Result(
+        snapshots=snapshots(sequence, config),
+        statistics=statistics(path, sequence),
+        object_psnr=psnr_db,
+        object_depth=depth,
+    )
+
+
+def snapshots(sequence: FrameSequence, config: EncoderConfig) -> dict[int, Snapshot]:
+    """Fuse the sequence as the encoder does; return the object's model after two and after all frames."""
+    scene = Scene(sequence.info, config)
+    found: dict[int, Snapshot] = {}
+    for frame in sequence:
+        scene.add(frame)
+        if frame.index + 1 in (EARLY, len(sequence)):
+            found[frame.index + 1] = snapshot(scene.objects[OBJECT])
+    return found
 
 
 def snapshot(item: SceneObject) -> Snapshot:
@@ -133,7 +151,7 @@ def snapshot(item: SceneObject) -> Snapshot:
 
 def object_quality(sequence: FrameSequence, path: Path) -> tuple[float, DepthErrors]:
     """Return mean PSNR and pooled depth errors of a stream over the pixels of the object."""
-    unit_mm = 1000 / sequence.info.depth_scale
+    unit_mm = MILLIMETRES / sequence.info.depth_scale
     psnrs: list[float] = []
     errors: list[DepthErrors] = []
     for given, drawn in zip(sequence, open_stream(path), strict=True):

@@ -14,12 +14,16 @@ from threedvc.formats.evaluation.report import StreamStatistics
 from threedvc.geometry.pose import Pose
 from threedvc.metrics.depth_errors import DepthErrors
 from threedvc.metrics.paper_accounting import PaperAccounting
+from threedvc.units import MILLIMETRES
 
 __all__ = ["BACKGROUND", "CASES", "EARLY", "OBJECT", "PAPER_CELLS", "Case", "Result", "Snapshot", "report"]
 
 BACKGROUND, OBJECT = 0, 1
+"""Numbers of the two in the stream."""
 EARLY = 2
+"""Frames after which the paper counts cells in its realistic case."""
 PAPER_CELLS = {2: 1056, 150: 3962}
+"""M, the number of occupied cells that the paper gives, by frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +62,7 @@ CASES = (
     Case(name="realistic, 1 min", sight=2, frames=1800, pose_frames=540, pose_rule="3F/10", paper=967),
     Case(name="realistic, 1 min", sight=2, frames=1800, pose_frames=600, pose_rule="F/3", paper=967),
 )
+"""The results that the paper prints; its realistic ones under both readings of its motion."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +158,7 @@ def cell_table(*results: Result) -> tuple[list[str], list[list[str]]]:
 
 def cells_of(result: Result) -> str:
     """Return the size of the object's cells in words."""
-    return f"{1000 * result.final.voxel_size_m:g} mm cells"
+    return f"{MILLIMETRES * result.final.voxel_size_m:g} mm cells"
 
 
 def accounting_rows(result: Result) -> list[list[str]]:
@@ -192,7 +197,7 @@ def _measure(name: str, form: str) -> Callable[[Result], str]:
 
 
 STREAM_ROWS: tuple[tuple[str, Callable[[Result], str]], ...] = (
-    ("cells of the background", lambda r: f"{1000 * r.statistics.objects[BACKGROUND].voxel_size_m:g} mm"),
+    ("cells of the background", lambda r: f"{MILLIMETRES * r.statistics.objects[BACKGROUND].voxel_size_m:g} mm"),
     ("file", lambda r: f"{r.statistics.file_bytes:,} bytes"),
     ("rate", lambda r: f"{r.statistics.kbit_s:.2f} kbit/s"),
     ("against the 8-bit video (eq. 9)", lambda r: f"1:{r.statistics.paper.raw_bytes / r.statistics.file_bytes:.0f}"),
@@ -221,3 +226,4 @@ STREAM_ROWS: tuple[tuple[str, Callable[[Result], str]], ...] = (
     ("object alone: range median error", lambda r: f"{r.object_depth.quantile_mm(0.5):.1f} mm"),
     ("object alone: range within 10 mm", lambda r: f"{r.object_depth.within_mm(10):.4f}"),
 )
+"""Rows of the table of the real stream: a name, and how a result tells it."""

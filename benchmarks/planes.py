@@ -24,8 +24,11 @@ RGB_TO_YUV = np.array(
 )
 YUV_TO_RGB = np.linalg.inv(RGB_TO_YUV.astype(np.float64)).astype(np.float32)
 CHROMA_ZERO = 128.0
+"""Chroma of grey, the middle of 8 bits."""
 LOBES = 3
+"""Of the windowed sinc: Lanczos-3, usual for resizing video."""
 TINY = np.float32(1e-6)
+"""Keeps the division finite where nothing is known."""
 
 
 def yuv_of(picture: NDArray[np.uint8], size: tuple[int, int]) -> list[Plane]:

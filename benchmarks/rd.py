@@ -35,6 +35,7 @@ __all__ = ["main", "measured", "recorded"]
 STORE = REPOSITORY / "build" / "bench-rd"
 OUTPUT = Path(__file__).with_name("RESULTS.md")
 MIN_POINTS = 2
+"""Of a curve: one rate is no curve."""
 
 
 def recorded() -> list[Path]:

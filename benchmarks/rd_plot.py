@@ -14,6 +14,7 @@ __all__ = ["plot"]
 
 OUR_COLOR, THEIR_COLOR = "tab:blue", "tab:orange"
 STEPS = 200
+"""Points of a drawn curve: it looks smooth."""
 
 
 def plot(result: Result, picture: Path) -> None:

@@ -47,7 +47,9 @@ RUNS = (
 )
 """How sequences are encoded here, and at which rates in kbit/s, where 3-D models are at home."""
 AV1_CRF = (70, 64, 58, 50, 40, 30, 20)
+"""Constant rate factors from the coarsest to good quality, so that the curve covers the rates of `RUNS`."""
 AV1_SCALES = (1, 2, 4, 8)
+"""Parts of the size at which AV1 may work: small pictures win at low rates, and the hull over all is its best."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,7 +44,9 @@ OURS = (
 COLOR_HEADER = ("AV1 colour", "bytes", "kbit/s", "PSNR RGB", "PSNR Y", "SSIM Y")
 DEPTH_HEADER = ("AV1 depth", "bytes", "kbit/s", "within 1 %", "within 10 mm", "RMSE mm")
 COLOR_CELLS = {"psnr_rgb": 2, "psnr_y": 2, "ssim_y": 4}
+"""Digits after the point of each measure of color in the tables."""
 DEPTH_CELLS = {"depth_within_1pct": 4, "depth_within_10mm": 4, "depth_rmse_mm": 1}
+"""Digits after the point of each measure of depth."""
 
 
 @dataclass(frozen=True, kw_only=True)

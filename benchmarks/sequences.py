@@ -33,6 +33,7 @@ __all__ = ["RUNS", "Outcome", "Run", "main", "results", "runs_of"]
 DATA = Path(os.environ.get("THREEDVC_DATA") or REPOSITORY.parent / "shared" / "data")
 WORK = REPOSITORY / "build" / "bench"
 BUSY_LOAD = 0.5
+"""Tasks per processor from which a warning is given: times would be too long."""
 HEADER = (
     "sequence", "options", "bytes", "kbit/s", "ratio", "PSNR RGB", "PSNR Y", "SSIM Y", "within 1 %", "lost",
     "median mm", "ATE mm", "lost poses", "encode fps", "decode fps", "encode MiB", "decode MiB",

@@ -18,20 +18,29 @@ __all__ = ["Spheres", "View", "draw", "spheres_of_cells"]
 Floats = NDArray[np.float64]
 
 SUPERSAMPLE = 2
+"""Pixels along each side that make one of the figure: smooth outlines."""
 SHADOW_SIDE_PX = 1000
+"""Of the picture that the light sees: about a pixel for one of the figure."""
 SHADOW_TAPS_PX = (-3, -1, 1, 3)
+"""Offsets, down and right, over whose mean the edge of a shadow is soft."""
 MARGIN = 1.05
+"""Times the size of the spheres: they do not touch the border."""
 UP = np.array([0.0, 0.0, 1.0])
+"""In the world."""
 # A cell that is certainly occupied reaches a little over its edges, so that a plane of them closes.
 LARGEST_RADIUS_CELLS = 0.62
 
 TOP_RGB = np.array([252.0, 252.0, 252.0])
+"""Of the background, which fades downwards to the next; by taste."""
 BOTTOM_RGB = np.array([214.0, 219.0, 226.0])
+"""A cool grey."""
 # Directions to the lights in the axes of the view: x right, y down, z forward.
 KEY_LIGHT = np.array([-0.48, -0.65, -0.60])
 FILL_LIGHT = np.array([0.80, -0.10, -0.60])
 AMBIENT, KEY, FILL, GLOSS = 0.50, 0.85, 0.22, 40.0
+"""Shares of light from everywhere, from both lights, and of the gloss in levels; by taste."""
 SHINE = 30
+"""Exponent of the gloss: small lights on a smooth surface; by taste."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,6 +39,7 @@ DISTURBED = ("kitchen300",)
 WARM_UP = 3
 """Frames tracked before anything is measured, so that all code is compiled."""
 FIRST, LAST, LAST_REMOVED = 100, 110, 129
+"""Frames that are disturbed, and the last of those removed: some seconds after the start."""
 COUNTED = (PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.RELOCALISED, PoseStatus.LOST)
 HEADER = ("sequence", "disturbance", "frames", *map(str, COUNTED), "ATE mm", "RPE mm", "RPE deg", "object deg",
           "object mm", "fps, tracking", "fps, all")  # fmt: skip

@@ -34,11 +34,17 @@ from threedvc.kernels.coding.geometry_prior import (
 )
 
 SIDE = 96
+"""Cells along a scene: room for some furniture; by hand."""
 INPUTS = FEATURES + HEIGHTS * 8
+"""Of the network: features, and one for each height of the octree and child."""
 BATCH = 2048
+"""Nodes of a step of the training."""
 RATE = 4e-3
+"""Of learning, at the start; it falls to zero."""
 WEIGHT_LIMIT = 127
+"""Weights are stored as signed bytes."""
 LINE = 110
+"""Characters of a line of the written module, which fits 120 with its indent."""
 
 MODULE = '''\
 # SPDX-License-Identifier: MIT

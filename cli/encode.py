@@ -26,6 +26,7 @@ from threedvc.cli.progress import Progress
 from threedvc.cli.requests import EncodeRequest
 from threedvc.cli.signals import Terminated, stop_on_signals
 from threedvc.errors import SequenceError
+from threedvc.units import MILLIMETRES
 
 if TYPE_CHECKING:
     from threedvc.formats.encoding import EncodeReport
@@ -141,7 +142,7 @@ def _summary(report: EncodeReport, output: Path) -> str:
     return (
         f"{output}: {report.frames} frames, {report.file_bytes:,} bytes, "
         f"{report.file_bytes * 8 / report.duration_s / 1000:.1f} kbit/s, "
-        f"cells of {1000 * report.voxel_size_m:g} mm, {report.frames / report.seconds:.1f} frames/s{lost}"
+        f"cells of {MILLIMETRES * report.voxel_size_m:g} mm, {report.frames / report.seconds:.1f} frames/s{lost}"
     )
 
 

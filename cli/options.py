@@ -45,15 +45,19 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 OUTPUTS = ("color", "depth", "labels")
 DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
+"""Of a unit in metres."""
 LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
 RATE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*([kKmM]?)\s*")
 RATE_EXPONENT = {"": 0, "k": 3, "m": 6}
+"""Of a prefix of bits per second."""
 RANGE = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 SIZE = re.compile(r"(\d+)[xX](\d+)")
 LABEL_LIMIT = 256
+"""Labels are 8 bits."""
 OBJECT = re.compile(r"\s*\d{1,3}\s*")
 BOUND = r"\s*(-?[\d.]*\d(?:mm|cm|m)?)\s*"
 BOX = re.compile(",".join([f"{BOUND}\\.\\.{BOUND}"] * 3))
+"""Three ranges, along x, y and z."""
 
 
 def length(text: str) -> float:

@@ -7,6 +7,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from threedvc.units import MILLIMETRES
+
 if TYPE_CHECKING:
     from threedvc.formats.evaluation.frame_ranges import FrameSpan
     from threedvc.formats.evaluation.object_comparison import ObjectQuality
@@ -16,8 +18,11 @@ if TYPE_CHECKING:
 __all__ = ["report_lines"]
 
 COLUMN = 18
+"""Characters of a name; the names of measures fit."""
 LABEL_COLUMN = 12
+"""Characters of a label, of the wide tables of references."""
 WIDTH = 100
+"""Characters of a line, at which lists are wrapped."""
 
 
 def report_lines(report: StreamStatistics) -> Iterator[str]:
@@ -63,7 +68,7 @@ def _objects(report: StreamStatistics) -> Iterator[str]:
     yield ""
     yield f"{'objects':<{COLUMN}}  {'cells':>8} {'bytes':>12} {'poses':>7} {'cell':>8}"
     for item in report.objects:
-        cell = f"{1000 * item.voxel_size_m:g} mm"
+        cell = f"{MILLIMETRES * item.voxel_size_m:g} mm"
         yield f"  {item.id:<{COLUMN - 2}}  {item.cells:>8,} {item.bytes:>12,} {item.poses:>7,} {cell:>8}"
 
 
@@ -127,7 +132,7 @@ def _travel(travel: Travel) -> str:
         return "the camera is at rest"
     return (
         f"{travel.length_m:.3f} m, turns by {travel.turn_deg:.1f} deg in all, {travel.largest_turn_deg:.1f} at most;"
-        f" steps up to {1000 * travel.largest_step_m:.1f} mm {travel.largest_step_deg:.2f} deg"
+        f" steps up to {MILLIMETRES * travel.largest_step_m:.1f} mm {travel.largest_step_deg:.2f} deg"
     )
 
 

@@ -29,6 +29,7 @@ with suppress(ImportError):
 __all__ = ["GrowingFile", "Kind", "check_target", "growing_file", "is_direct", "locked_folder", "write_output"]
 
 TRIES = 20
+"""To get a lock, in the course of a second: another run holds it only while it looks for a name."""
 LOCKS = find_spec("fcntl") is not None
 """Not on Windows: there two runs for one name are not told apart."""
 HEAD_BYTES = 1 << 20

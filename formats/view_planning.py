@@ -19,7 +19,7 @@ from threedvc.formats.container import open_input
 from threedvc.formats.decoding import errors_named
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.view_planning.planner import Proposal, propose
-from threedvc.view_planning.targets import Target, targets_of, thinned
+from threedvc.view_planning.targets import Target, downsampled_frames, targets_of
 
 __all__ = ["Exploration", "ExploredObject", "explore"]
 
@@ -140,7 +140,7 @@ def explore(
     config = config or ExplorationConfig()
     decoder = Decoder(captured_depth=False)
     with open_input(source) as reader, errors_named(reader.name):
-        states = thinned(_states(decoder, reader, on_frame))
+        states = downsampled_frames(_states(decoder, reader, on_frame))
         if decoder.header is None:
             raise TruncatedStream(f"{reader.name}: ends before its STREAM packet; nothing can be explored")
         name = reader.name

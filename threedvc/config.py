@@ -32,18 +32,35 @@ __all__ = [
 ]
 
 MIN_VOXEL_SIZE_M = 0.0005
+"""Half a millimetre: depth pictures in millimetres tell no more."""
 MAX_VOXEL_SIZE_M = 1.0
+"""More is a slip of the unit: of a room few cells would be left."""
 MIN_STEP, MAX_STEP = 0.5, 255.0
+"""Grey levels: half of one, which rounding to levels hides, and the largest that a stream can tell (4080
+sixteenths)."""
 MAX_FOCUS = 100.0
+"""Steps are divided by its root: ten times as fine as the default is about a level."""
 MAX_OBJECT = 255
+"""Largest label of an 8-bit mask."""
 MAX_CANDIDATES = 100_000
+"""More is a slip: each view is judged by thousands of rays."""
 MIN_BPS = 500
+"""With less, ten seconds would not even hold what a file takes besides surfaces and frames
+(`rate_control.HEAD_BYTES`)."""
 MIN_LIVE_BPS = 8000
+"""A kilobyte a second, of which 30 frames without surfaces take some 270 bytes (`rate_control.FRAME_BYTES`)."""
 MIDDLE_QUALITY = 50
+"""The default, in the middle of 1 to 100."""
 QUALITY_PER_STEP = 16
+"""More halve the steps of colours (decision 0010): about three halvings to either side of the middle."""
 QUALITY_PER_CELL = 50
+"""More halve the edge of cells (decision 0010): once to either side, as it makes four times as many."""
+LUMA_STEP = 12.0
+"""Grey levels, at the middle quality; by taste: finer steps take bytes for noise."""
 CHROMA_STEP = 1.75
+"""Times the step of luma; by taste: the eye sees chroma less sharply."""
 ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
+"""Of alignment, by preset. Measured on the kitchen (decision 0008): three give 0.5 dB, further ones 0.1 dB each."""
 
 
 class Motion(StrEnum):
@@ -124,7 +141,15 @@ class FilterParts(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationConfig:
-    """Division of a frame into objects; `near_m` and `far_m` bound the object of the depth threshold."""
+    """Division of a frame into objects.
+
+    Attributes
+    ----------
+    mode
+        See `SegmentationMode`.
+    near_m, far_m
+        Bounds of the object of the depth threshold; an empty range unless it is asked for.
+    """
 
     mode: SegmentationMode = SegmentationMode.AUTO
     near_m: float = 0.0
@@ -144,9 +169,10 @@ class FusionConfig:
     Attributes
     ----------
     band_sigmas
-        Half width of the window of the ray sum, in standard deviations of the sensor.
+        Half width of the window of the ray sum, in standard deviations of the sensor: three hold 99.7 % of the
+        measurements (decision 0002).
     max_log_odds
-        Bound of a cell's log-odds, so that change stays possible.
+        Bound of a cell's log-odds, so that change stays possible: odds of e^8, 3000 to 1.
     """
 
     band_sigmas: float = 3.0
@@ -159,10 +185,10 @@ class FusionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ColorConfig:
-    """Colour coding: quantisation steps in grey levels for luma and for chroma."""
+    """Colour coding: quantisation steps in grey levels for luma and chroma; those of the middle quality unless told."""
 
-    luma_step: float = 12.0
-    chroma_step: float = 21.0
+    luma_step: float = LUMA_STEP
+    chroma_step: float = CHROMA_STEP * LUMA_STEP
 
     def __post_init__(self) -> None:
         if not (MIN_STEP <= self.luma_step <= MAX_STEP and MIN_STEP <= self.chroma_step <= MAX_STEP):
@@ -178,14 +204,16 @@ class AppearanceConfig:
     Attributes
     ----------
     rounds
-        How often poses are aligned with the fitted colours; 0 fits colours and gains alone.
+        How often poses are aligned with the fitted colours, as the preset ``medium`` does it; 0 fits colours and gains
+        alone.
     texture_scale
-        Colours along an edge of a cell: 1, 2 or 4.
+        Colours along an edge of a cell: 1, 2 or 4. More than one is no better at equal bytes than smaller cells
+        (decision 0008).
     relief_bits
         Binary logarithm of the places in a cell that the surface may pass, 0 to 3; None: 1 where that is cheap, else 0.
     """
 
-    rounds: int = 3
+    rounds: int = ROUNDS["medium"]
     texture_scale: int = 1
     relief_bits: int | None = None
 
@@ -257,12 +285,13 @@ class EncoderConfig:
     focus
         Where errors of colours count more; all that a place lies in are multiplied.
     cell_factor
-        By how much wider cells are than the object's distance suggests; of no meaning with `voxel_size_m`.
+        By how much wider cells are than the object's distance suggests, 1 at the middle quality; of no meaning with
+        `voxel_size_m`.
     bitrate_bps
         Bits per second that the stream shall take, or None. A file comes within 5 %, unless cells and steps have
         reached their bounds; a live stream keeps below it with a buffer of `live_buffer_s`.
     live_buffer_s
-        How many seconds' worth of bits a live stream may send at once.
+        How many seconds' worth of bits a live stream may send at once: as much as a viewer waits for at the start.
     refine
         Calibrate the colour camera and register all frames again once the model is finished; needs
         frames that can be read more than once.
@@ -270,7 +299,7 @@ class EncoderConfig:
         See `DepthVideo`.
     causal
         Send each group as soon as it is fused (live); otherwise fuse everything first.
-    group_frames
+    batch_frames
         Frames whose packets are written together, or None for one second's worth live and two of a file.
     threads
         Number of threads; the stream does not depend on it.
@@ -305,9 +334,9 @@ class EncoderConfig:
             raise ConfigError(f"maximum depth {self.max_depth_m} m must be positive")
         if not 1 / 16 <= self.cell_factor <= 16:
             raise ConfigError(f"cell factor {self.cell_factor} must be within 1/16..16")
-        least = MIN_LIVE_BPS if self.causal else MIN_BPS
-        if self.bitrate_bps is not None and not self.bitrate_bps >= least:
-            raise ConfigError(f"a rate of {self.bitrate_bps:g} bit/s is too low; give at least {least / 1000:g}k")
+        minimum = MIN_LIVE_BPS if self.causal else MIN_BPS
+        if self.bitrate_bps is not None and not self.bitrate_bps >= minimum:
+            raise ConfigError(f"a rate of {self.bitrate_bps:g} bit/s is too low; give at least {minimum / 1000:g}k")
         if not 0.1 <= self.live_buffer_s <= 60:
             raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
         if self.causal and self.depth_video is DepthVideo.ON:
@@ -370,8 +399,8 @@ class RenderConfig:
         Rays per pixel side for colour, or None for 2 on small pictures and 1 on large ones.
     filter_parts
         Where the stream's filter of pictures is applied.
-    filmed_depth
-        Whether depth as it was filmed stands for that of the models, where the stream has a video of it.
+    captured_depth
+        Whether depth as it was captured stands for that of the models, where the stream has a video of it.
     threads
         Number of threads; pictures do not depend on it.
     """
@@ -395,11 +424,12 @@ class ExplorationConfig:
     Attributes
     ----------
     candidates
-        Views to choose from, of each object that is explored.
+        Views to choose from, of each object that is explored; the time goes with their number (decision 0015 ranks as
+        many).
     best
-        How many to propose.
+        How many to propose: enough to choose another one where the first cannot be reached.
     sensor
-        The sensor that will take them.
+        The sensor that will take them; a Kinect, as most recordings are of its kind.
     objects
         Numbers of the objects to explore, 0 for all that rests; None: what moves against the camera.
     threads

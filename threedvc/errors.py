@@ -11,7 +11,6 @@
     │   ├── CorruptStream        checksum, digest or content is wrong
     │   └── LimitExceeded        a length or count is beyond what a reader accepts
     ├── SequenceError            input frames are missing, unreadable or implausible
-    ├── RegistrationFailed       a depth map does not fit the model
     ├── ConfigError              an option has an impossible value
     └── OutputError              an output cannot be written
 
@@ -27,7 +26,6 @@ __all__ = [
     "FormatError",
     "LimitExceeded",
     "OutputError",
-    "RegistrationFailed",
     "SequenceError",
     "ThreedvcError",
     "TruncatedStream",
@@ -65,10 +63,6 @@ class LimitExceeded(FormatError):
 
 class SequenceError(ThreedvcError):
     """Input frames are missing, unreadable or implausible."""
-
-
-class RegistrationFailed(ThreedvcError):
-    """A depth map could not be registered against the model."""
 
 
 class ConfigError(ThreedvcError):

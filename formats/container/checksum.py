@@ -15,7 +15,9 @@ import numpy as np
 __all__ = ["crc32c"]
 
 POLYNOMIAL: Final = 0x82F63B78
+"""Of CRC-32C, in reversed order of bits; part of the format."""
 KERNEL_BYTES: Final = 4096
+"""From so many on the compiled loop pays: less is not worth loading a compiler for."""
 
 
 def _table_entry(byte: int) -> int:
@@ -25,6 +27,7 @@ def _table_entry(byte: int) -> int:
 
 
 TABLE: Final = tuple(_table_entry(byte) for byte in range(256))
+"""Remainders of all bytes."""
 
 
 def crc32c(data: bytes) -> int:

@@ -25,6 +25,7 @@ __all__ = [
     "MINOR",
     "PACKET_HEAD",
     "PACKET_HEAD_FIELDS",
+    "SEQ_MODULUS",
     "SYNC",
     "Codec",
     "PacketHead",
@@ -36,7 +37,9 @@ __all__ = [
 
 MAGIC: Final = b"\x893DVC\r\n\x1a\n"
 MAJOR: Final = 1
+"""Of the format: a reader refuses another one."""
 MINOR: Final = 0
+"""Of the format: a reader takes any."""
 FILE_HEAD: Final = struct.Struct("<9sBBB")
 FILE_HEAD_BYTES: Final = FILE_HEAD.size
 
@@ -56,7 +59,11 @@ CRC: Final = struct.Struct("<I")
 INDEX_POINTER: Final = struct.Struct("<Q")
 
 KNOWN_FLAGS: Final = 0x0F
+"""The four lower bits; those above must be 0, so that a later version can use them."""
 CODEC_SHIFT: Final = 2
+"""Where the codec stands in the flags: bits 2 and 3."""
+SEQ_MODULUS: Final = 1 << 32
+"""Numbers of packets are 32 bits of their head, and begin anew."""
 
 
 class Codec(IntEnum):

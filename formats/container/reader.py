@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from threedvc.errors import CorruptStream, FormatError, TruncatedStream, UnsupportedVersion
 from threedvc.formats.container.framing import unpack_body
@@ -13,6 +13,7 @@ from threedvc.formats.container.layout import (
     CRC,
     FILE_HEAD_BYTES,
     PACKET_HEAD,
+    SEQ_MODULUS,
     SYNC,
     PacketHead,
     check_file_head,
@@ -24,8 +25,6 @@ from threedvc.stream.headers import BatchHeader, StreamHeader, check_supported
 from threedvc.stream.packets import Packet, PacketFlag, PacketType, is_understood, type_name
 
 __all__ = ["Record", "SkippedRange", "StreamReader"]
-
-SEQ_MODULUS: Final = 1 << 32
 
 
 @dataclass(frozen=True)

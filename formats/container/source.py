@@ -10,6 +10,7 @@ from threedvc.errors import TruncatedStream
 __all__ = ["CHUNK_BYTES", "ByteSource"]
 
 CHUNK_BYTES: Final = 1 << 16
+"""What is read at once, as pipes hold: a false length of gigabytes takes no more memory than there are bytes."""
 
 
 class ByteSource:

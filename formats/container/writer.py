@@ -4,19 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from threedvc.errors import OutputError
 from threedvc.formats.container.framing import pack_packet
 from threedvc.formats.container.index import IndexEntry, pack_index
-from threedvc.formats.container.layout import INDEX_POINTER, pack_file_head
+from threedvc.formats.container.layout import INDEX_POINTER, SEQ_MODULUS, pack_file_head
 from threedvc.limits import MAX_INDEX_ENTRIES
 from threedvc.stream.headers import BatchHeader, SnapshotHeader
 from threedvc.stream.packets import Packet, PacketType, type_name
 
 __all__ = ["StreamWriter"]
-
-SEQ_MODULUS: Final = 1 << 32
 
 
 class StreamWriter:

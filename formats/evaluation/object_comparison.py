@@ -20,12 +20,15 @@ from threedvc.metrics.trajectory import ObjectPoseError, TrajectoryError, object
 __all__ = ["ObjectComparison", "ObjectQuality", "SpuriousObject", "matched"]
 
 LABELS = 256
+"""Of 8-bit masks."""
 MIN_PIXELS = 30
 """An object with fewer pixels than these is not taken to be shown by a frame."""
 MIN_SHARE = 0.1
 """Objects are only matched where at least this part of what is drawn lies on the other."""
 MOVED_M = 0.01
+"""Between two poses of an object, from which on it has moved: beyond their jitter."""
 MOVED_DEG = 2.0
+"""By which it has turned: beyond the jitter of poses, too."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ NAMED = (PoseStatus.RELOCALISED, PoseStatus.WEAK, PoseStatus.LOST)
 """Statuses whose frames are named one by one."""
 
 BACKGROUND = 0
+"""Its number in every stream."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,6 +46,7 @@ __all__ = ["ReferenceOptions", "statistics"]
 
 STANDARD_INPUT = "-"
 DEPTH_BYTES = 2
+"""Of a pixel of a 16-bit depth picture, uncompressed."""
 PICTURES = frozenset({"color", "depth"})
 
 StreamSource: TypeAlias = str | os.PathLike[str] | BinaryIO

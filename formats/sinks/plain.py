@@ -43,6 +43,7 @@ DECODE, SYNTH = "3dvc decode", "3dvc synth"
 DEPTH_LIMIT = 65534
 """65535 reads as no measurement."""
 PENDING_PER_THREAD = 4
+"""Pictures that wait to be written: enough that no thread is idle, few enough to fit into memory."""
 
 
 def sensor_folder(folder: Path, sensor: int) -> Path:

@@ -15,6 +15,7 @@ from statistics import median
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.names import NamedPictures, doubt_of_steps, in_unit_of, named_pictures
 from threedvc.formats.sources.notices import Notice
+from threedvc.units import NANOSECONDS
 
 __all__ = [
     "PICTURE_SUFFIXES",
@@ -55,10 +56,12 @@ OTHER_PICTURES = {
 }
 CONVERT = "convert colour to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimetres, 0 where there is none"
 MAX_DIFFERENCE_MS = 20
+"""Between partners: the usual choice for the TUM benchmark, and less than half an interval at 24 frames a second."""
 MAX_CANDIDATES = 32
 """Partners that are looked at to each side of a stamp: a video has one or two within the time; times that are no
 video's would take all memory."""
-MAX_DIFFERENCE_NS = MAX_DIFFERENCE_MS * 1_000_000
+MAX_DIFFERENCE_NS = MAX_DIFFERENCE_MS * (NANOSECONDS // 1000)
+"""The same in the unit of stamps."""
 
 Numbers = tuple[int, ...]
 PicturePair = tuple[Path, Path]

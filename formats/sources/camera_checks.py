@@ -19,14 +19,17 @@ EDGE = 0.02
 MIN_VIEW_DEG, MAX_VIEW_DEG = 5.0, 150.0
 """No depth camera is a telescope, and a pinhole model does not hold for a fisheye."""
 MAX_PIXEL_RATIO = 2.0
+"""Of width and height of pixels, or the other way round: beyond, focal lengths or their order are wrong."""
 DOUBTFUL_PIXEL_RATIO = 1.5
 """Pictures that were resized to another shape have pixels up to 1.33 times as wide as high (16:9 to 4:3)."""
 MAX_BASELINE_M = 1.0
 """Cameras of one sensor are centimetres apart; millimetres taken for metres make that tens of metres."""
 MAX_BETWEEN_AXES_DEG = 90.0
+"""Cameras of one sensor that look apart so far share no view."""
 CENTRED = (0.38, 0.62)
 """Where principal points lie in width and height; one that is off by the same share in both is of another size."""
 SAME_SHARE = 0.03
+"""Of width and height, by which a principal point's places in both may differ to be the same share."""
 
 
 def matrix_parameters(matrix: Sequence[float], source: str) -> list[float]:

@@ -20,7 +20,9 @@ __all__ = ["NO_MEASUREMENT", "check_depth"]
 NO_MEASUREMENT = 65535
 """The largest value of 16 bits says "nothing there" or "too far" in every data set that uses it; so does 0."""
 PROBES = 8
+"""Pictures that are looked at, spread over the recording, until three have depth: recordings may begin with none."""
 PROBES_WITH_DATA = 3
+"""So many tell what the others are like; each has to be decoded."""
 PLAUSIBLE_M = (0.05, 100.0)
 """Medians of depth that need no explanation: from a hand before a close-range camera to a street."""
 TOLD_PLAUSIBLE_M = (0.005, 500.0)
@@ -28,10 +30,12 @@ TOLD_PLAUSIBLE_M = (0.005, 500.0)
 FAR_SHARE, FAR_FACTOR = 0.02, 1.5
 """A value on more than this share of the pixels, beyond all others by this factor, stands for "no measurement"."""
 NEARLY_ALL = 0.999
+"""Quantile of the other values that stands for the largest: a few may be strays."""
 MIN_NEIGHBORS, MIN_DENSE_SHARE = 3, 0.3
 """Surfaces are made of measurements with neighbours: cameras have 3 of 8 at nearly all pixels, and the accumulated
 scans of a rotating laser at 80 %; single scans and sparse points hardly anywhere."""
 MIN_MEASURED = 100
+"""Pixels with depth: fewer tell nothing of how dense they lie."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,12 +35,15 @@ DATE = re.compile(
     r"(?P<hour>\d\d)[-_.:]?(?P<minute>\d\d)[-_.:]?(?P<second>\d\d)(?:[-_.,](?P<part>\d{1,9}))?(?!\d)"
 )
 DATE_UNITS = ("year", "month", "day", "hour", "minute", "second")
-MILLISECOND_NS = 1_000_000
+MILLISECOND_NS = NANOSECONDS // 1000
+"""Nanoseconds."""
 UNITS = {NANOSECONDS: "seconds", MILLISECOND_NS: "milliseconds", 1_000: "microseconds", 1: "nanoseconds"}
+"""Names of units, by their nanoseconds."""
 SHORTEST_NS, LONGEST_NS = NANOSECONDS // 500, 2 * NANOSECONDS
 """Intervals between frames that make a video: 500 frames a second to one in two seconds; a factor of 1000, so that one
 unit fits at most."""
 INT64_LIMIT = 1 << 63
+"""Stamps are signed 64-bit numbers in the stream."""
 EPOCH_S = (10**9, 43 * 10**8)
 """Seconds since 1970 of the years 2001 to 2106: no recording has as many frames."""
 EPOCH_STEP_S = 5
@@ -50,13 +53,17 @@ CLOCK_STEP = 1000
 MIN_MILLISECONDS = 8
 """Milliseconds of 120 frames a second are 8 and 9 apart; faster cameras cannot be told from left-out frames."""
 JITTER = 0.2
+"""Part of its interval by which a tick may be off, or of a multiple where frames were lost."""
 REGULAR_SHARE = 0.9
-"""Clocks tick within 20 % of their interval, or of a multiple where frames were lost, in nine of ten cases."""
+"""Of the ticks that must be within it: one of ten may be late."""
 RATES = (5, 6, 7.5, 10, 12, 12.5, 15, 20, 24, 25, 30, 45, 48, 50, 60, 75, 90, 100, 120)
+"""Usual rates of cameras, in frames a second, and those of recordings that keep every second or third frame."""
 SAME_RATE = 0.03
+"""By which a rate may differ from a usual one: stamps in milliseconds round 30 frames a second to 33 ms."""
 LARGEST_STRIDE = 30
 """Recordings are thinned to a frame a second, rarely further."""
 NANOSECOND_DIGITS, MICROSECOND_DIGITS = 9, 6
+"""Of a number after a point that counts nanoseconds, or microseconds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 DEFAULT_FPS = 30.0
+"""What depth cameras do unless told otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,6 +30,7 @@ __all__ = ["FolderSequence"]
 Item = TypeVar("Item", bound=np.generic)
 
 READ_AHEAD = 3
+"""Frames that are decoded before they are asked for: enough to even out slow ones, and some megabytes each."""
 
 
 class FolderSequence:

@@ -24,7 +24,7 @@ from threedvc.cli import explore as explore_module
 from threedvc.cli.encode import SENSORS
 from threedvc.cli.main import main
 from threedvc.config import Motion, SegmentationMode, Sensor
-from threedvc.errors import OutputError, RegistrationFailed
+from threedvc.errors import OutputError, SequenceError
 from threedvc.formats import decoding, encoding
 from threedvc.formats.container.layout import SYNC
 from threedvc.formats.evaluation import statistics as statistics_module
@@ -150,7 +150,7 @@ class TestMain:
     @pytest.mark.parametrize(
         ("error", "message"),
         [
-            (RegistrationFailed("frame 3 does not fit"), "Error: frame 3 does not fit\n"),
+            (SequenceError("frame 3 does not fit"), "Error: frame 3 does not fit\n"),
             (OSError(errno.ENOSPC, "No space left on device", "k.3dvc"), "Error: k.3dvc: No space left on device\n"),
             (OSError(errno.EIO, "Input/output error"), "Error: Input/output error\n"),
             (

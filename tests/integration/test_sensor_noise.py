@@ -13,7 +13,8 @@ from helpers.streams import ListSequence
 from threedvc.config import EncoderConfig, Motion, Sensor
 from threedvc.encoder.fusion.noise_meter import MIN_METERED_FRAMES, NoiseMeter
 from threedvc.encoder.pipeline.encoder import Encoder
-from threedvc.encoder.reconstruction.frame_intake import METERED_FRAMES, Scene
+from threedvc.encoder.reconstruction.frame_intake import METERED_FRAMES
+from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sensor_model import SENSORS
 from threedvc.synthesis import SyntheticSequence, make_scene
 

@@ -15,7 +15,7 @@ from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.view_planning.occupancy_field import OccupancyField
 
-__all__ = ["best_looks", "flooded", "observed"]
+__all__ = ["best_visibility", "flooded", "observed"]
 
 REACH = 30
 Floats = NDArray[np.float64]
@@ -88,7 +88,7 @@ def flooded(passable: NDArray[np.bool_], starts: NDArray[np.bool_]) -> NDArray[n
         reached = wider
 
 
-def best_looks(
+def best_visibility(
     view: Floats, slopes: Floats, cell_m: float, opacity: Floats, sensor: SensorModel, reach_m: float
 ) -> Floats:
     """Return the best look of a view's rays at each cell; `view` is its (3, 4) map from metres to cells."""

@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 MIN_UNEVEN_STEP = 7
+"""A prime, longer than usual cycles of sensors."""
 
 
 class FrameSequence(Protocol):

@@ -17,7 +17,10 @@ from threedvc.geometry.pose import Pose, compose, identity, inverse, is_rigid
 __all__ = ["Camera", "CameraRig"]
 
 MAX_SIDE = 16384
+"""Pixels of a picture's side in the format of the stream: more than any camera has, and pixels still fit into 32
+bits."""
 UNDISTORTION_STEPS = 20
+"""Of the fixed-point iteration. Measured on the lenses of the TUM sensors: the last one moves no pixel by 1e-7."""
 
 
 @dataclass(frozen=True, kw_only=True)

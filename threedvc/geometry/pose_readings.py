@@ -12,6 +12,7 @@ import numpy as np
 
 from threedvc.errors import ConfigError
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, quaternion, rotation_from_quaternion
+from threedvc.units import MILLIMETRES
 
 __all__ = ["AS_GIVEN", "COMBINED", "TRIED_READINGS", "PoseReading", "pose_reading", "reading_names"]
 
@@ -58,7 +59,7 @@ class PoseReading:
 
 _BASIC = (
     PoseReading("w-first", "written w x y z", _w_first),
-    PoseReading("millimetres", "to be in millimetres", _units(1000)),
+    PoseReading("millimetres", "to be in millimetres", _units(MILLIMETRES)),
     PoseReading("centimetres", "to be in centimetres", _units(100)),
     PoseReading("inverted", "like world-to-camera", inverse),
     PoseReading(

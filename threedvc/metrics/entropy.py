@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["bernoulli_entropy_bits", "gaussian_entropy_bits"]
 
 COLOR_LEVELS = 256
+"""Of a channel of 8 bits."""
 
 
 def bernoulli_entropy_bits(log_odds: ArrayLike) -> NDArray[np.float64]:

@@ -22,9 +22,12 @@ from threedvc.units import LUMA_WEIGHTS
 __all__ = ["MAX_PSNR_DB", "ColorQuality", "luma", "mean_color_quality", "psnr", "psnr_y", "ssim_y"]
 
 MAX_PSNR_DB = 99.0
+"""Stands for equal pictures, whose ratio is infinite: a mean over frames has to stay finite."""
 LUMA = np.array(LUMA_WEIGHTS, dtype=np.float32)
 SSIM_WINDOW = 11
+"""Pixels (Wang et al. 2004)."""
 SSIM_SIGMA = 1.5
+"""Pixels of the window's Gaussian (Wang et al. 2004)."""
 
 
 def psnr(reference: NDArray[np.uint8], decoded: NDArray[np.uint8]) -> float:

@@ -15,6 +15,7 @@ from threedvc.geometry.pose import Pose, make_pose
 __all__ = ["harmonics", "look_at", "phases", "phases_with_pause"]
 
 PAUSE_EASE_FRAMES = 8
+"""In which motion stops and starts again, about a quarter of a second: as a hand does it, not at once."""
 
 
 def phases(frames: int, period: int) -> NDArray[np.float64]:

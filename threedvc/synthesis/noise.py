@@ -15,13 +15,20 @@ from numpy.typing import NDArray
 
 __all__ = ["KINECT_PROJECTOR_M", "Noise", "kinect_depth", "quantised_depth"]
 
-FOCAL_BASELINE_PX_M = 580 * 0.075
-DISPARITY_SIGMA_PX = 0.0522
-DISPARITY_STEP_PX = 0.125
-NEAR_M, FAR_M = 0.4, 6.0
-EDGE_RATIO = 0.04
-EDGE_DROPOUT = 0.05
 KINECT_PROJECTOR_M = (0.075, 0.0, 0.0)
+"""To the right of the depth camera: its baseline."""
+FOCAL_BASELINE_PX_M = 580 * KINECT_PROJECTOR_M[0]
+"""Of the depth camera, whose focal length is 580 pixels."""
+DISPARITY_SIGMA_PX = 0.0522
+"""1.2 mm at 1 m."""
+DISPARITY_STEP_PX = 0.125
+"""An eighth of a pixel, as the sensor rounds: 2.9 mm at 1 m."""
+NEAR_M, FAR_M = 0.4, 6.0
+"""Between which the projector's light is seen."""
+EDGE_RATIO = 0.04
+"""Of the depth, within 3x3 pixels: a step, not a slope."""
+EDGE_DROPOUT = 0.05
+"""Share of the pixels at edges without a measurement; by taste, so that outlines are ragged."""
 
 
 class Noise(StrEnum):

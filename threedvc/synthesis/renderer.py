@@ -25,6 +25,7 @@ from threedvc.units import LUMA_WEIGHTS
 __all__ = ["Picture", "SceneRenderer"]
 
 SAMPLES = 2
+"""Rays along each side of a pixel of the colour picture: outlines are smooth at four times the work of one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

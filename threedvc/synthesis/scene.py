@@ -16,6 +16,7 @@ from threedvc.synthesis.shapes import Part
 __all__ = ["Body", "Light", "Scene"]
 
 MAX_LABEL = 255
+"""8-bit masks have no larger ones."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

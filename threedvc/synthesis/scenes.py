@@ -30,13 +30,20 @@ from threedvc.synthesis.textures import RGB, Texture
 __all__ = ["OBJECTS_PAUSE", "PAPER_THRESHOLD_M", "ROOM_PERIOD", "SCENES", "make_scene"]
 
 PAPER_THRESHOLD_M = 1.2
+"""Between the toy, some 0.9 m before the camera, and all that stands behind it."""
 PAPER_PERIOD = 150
+"""Frames of the paper's sequence, 5 s, in which the toy turns once."""
 OBJECTS_PERIOD = 240
+"""Frames in which the toys go to and fro and turn once: twice the default length."""
 OBJECTS_PAUSE = range(45, 75)
+"""Frames in which one toy rests, for a second: poses that stay have to cost nothing."""
 ROOM_PERIOD = 140
+"""Frames of the camera's round, ten fewer than by default: the last ones see the first place again."""
 MAX_SEED = 2**31 - 1
+"""31 bits, so that a seed plus a few is a positive number of 32 bits."""
 
 FLOOR_RGB: RGB = (172, 122, 74)
+"""Of wood; by taste."""
 
 
 def make_scene(name: str, *, frames: int | None = None, size: tuple[int, int] | None = None, seed: int = 0) -> Scene:

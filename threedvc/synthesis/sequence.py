@@ -15,13 +15,15 @@ from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 from threedvc.synthesis.noise import KINECT_PROJECTOR_M, Noise, kinect_depth, quantised_depth
 from threedvc.synthesis.renderer import Picture, SceneRenderer
 from threedvc.synthesis.scene import Scene
-from threedvc.units import NANOSECONDS
+from threedvc.units import MILLIMETRES, NANOSECONDS
 
 __all__ = ["SyntheticSequence", "mounted_sequences"]
 
-DEPTH_SCALE = 1000.0
+DEPTH_SCALE = MILLIMETRES
+"""Units per metre: millimetres, as most depth pictures have them."""
 SENSOR_TURN_RAD, SENSOR_SHIFT_M = 0.6, 0.12
-"""How each sensor of several is mounted to the right of the one before."""
+"""How each sensor of several is mounted to the right of the one before: 34 degrees, so that their fields of view
+overlap by nearly half."""
 
 
 class SyntheticSequence:

@@ -39,7 +39,9 @@ RGB = tuple[int, int, int]
 Image = NDArray[np.uint8]
 
 TEXEL_M = 0.005
+"""Of pictures: less than a pixel of 320x240 covers at 2 m."""
 BLACK: RGB = (0, 0, 0)
+"""Of outlines and print."""
 INKS: tuple[RGB, ...] = (
     (196, 62, 48),
     (222, 146, 52),
@@ -51,6 +53,7 @@ INKS: tuple[RGB, ...] = (
     (176, 116, 86),
     (208, 216, 206),
 )
+"""Colours of posters and prints, of which pictures draw some; by taste, far apart in hue."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -48,14 +48,18 @@ __all__ = [
 ]
 
 COW_HOOF_Z = -0.155
+"""Lowest point of the cow in its own frame, by which it is put on a table."""
 MUG_BOTTOM_Z = -0.06
+"""That of the mug."""
 TRUCK_WHEEL_Z = -0.075
+"""That of the truck."""
 
 BROWN: RGB = (124, 84, 50)
 DARK_BROWN: RGB = (84, 54, 32)
 DARK: RGB = (44, 42, 46)
 CREAM: RGB = (238, 232, 218)
 RED: RGB = (196, 44, 40)
+"""Colours that several things share, these five; by taste."""
 
 
 def placed(parts: tuple[Part, ...], pose: Pose) -> tuple[Part, ...]:

@@ -13,28 +13,32 @@ from threedvc.view_planning.occupancy_field import OccupancyField, widened
 __all__ = ["look_along", "reachable_places", "reachable_views", "upward", "views_around"]
 
 SEED = 1995
-STEEPEST = np.pi / 4
-GOLDEN_TURN = np.pi * (3 - np.sqrt(5))
+"""Any does; a fixed one gives the same proposals in every run. (The year of the paper.)"""
+MAX_PITCH_RAD = np.pi / 4
+"""From level, up or down, of views that aim at nothing in particular: few things of a room are above or below it."""
+GOLDEN_ANGLE_RAD = np.pi * (3 - np.sqrt(5))
+"""From point to point of a spiral that covers a sphere evenly."""
 MIN_UP = 0.1
+"""Length of the mean of unit vectors below which they have no direction in common."""
 
 
-def look_along(eye: NDArray[np.float64], way: NDArray[np.float64], up: NDArray[np.float64]) -> Pose:
+def look_along(eye: NDArray[np.float64], direction: NDArray[np.float64], up: NDArray[np.float64]) -> Pose:
     """Return T_field_camera of an upright camera.
 
     Parameters
     ----------
     eye
         (3,) its place in metres.
-    way
+    direction
         (3,) unit vector along which it looks.
     up
         (3,) unit vector that its pictures show upright, as far as they can.
     """
-    right = np.cross(way, up)
+    right = np.cross(direction, up)
     if np.linalg.norm(right) < 1e-6:
-        right = np.cross(way, np.roll(up, 1) + np.array([1e-3, 0, 0]))
+        right = np.cross(direction, np.roll(up, 1) + np.array([1e-3, 0, 0]))
     right /= np.linalg.norm(right)
-    return make_pose(np.stack([right, np.cross(way, right), way], axis=1), eye)
+    return make_pose(np.stack([right, np.cross(direction, right), direction], axis=1), eye)
 
 
 def upward(recorded: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -50,9 +54,9 @@ def views_around(
     """Return views (count, 4, 4) of a point (3,) from one distance and evenly spread directions (a spiral)."""
     steps = np.arange(count)
     height = 1 - (2 * steps + 1) / count
-    turn, radius = GOLDEN_TURN * steps, np.sqrt(1 - height * height)
-    ways = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
-    return np.stack([look_along(center + distance_m * way, -way, up) for way in ways])
+    azimuth, radius = GOLDEN_ANGLE_RAD * steps, np.sqrt(1 - height * height)
+    directions = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
+    return np.stack([look_along(center + distance_m * each, -each, up) for each in directions])
 
 
 def reachable_views(
@@ -78,18 +82,18 @@ def reachable_views(
     rng = np.random.default_rng(SEED)
     places, up = reachable_places(field, recorded[:, :3, 3], clearance_m), upward(recorded)
     eyes = places[rng.choice(len(places), count, replace=len(places) < count)]
-    yaw, pitch = rng.uniform(-np.pi, np.pi, count), rng.uniform(-STEEPEST, STEEPEST, count)
+    yaw, pitch = rng.uniform(-np.pi, np.pi, count), rng.uniform(-MAX_PITCH_RAD, MAX_PITCH_RAD, count)
     R = look_along(np.zeros(3), recorded[-1, :3, 2], up)[:3, :3]
     level = np.cross(up, R[:, 0])
     flat = np.sin(yaw)[:, None] * R[:, 0] - np.cos(yaw)[:, None] * level
-    ways = np.cos(pitch)[:, None] * flat + np.sin(pitch)[:, None] * up
+    directions = np.cos(pitch)[:, None] * flat + np.sin(pitch)[:, None] * up
     borders = field.centers(field.border())
     if len(borders):
         aims = borders[rng.choice(len(borders), count)] - eyes
         distances = np.linalg.norm(aims, axis=1)
         aimed = (np.arange(count) % 2 == 0) & (distances > 0)
-        ways[aimed] = aims[aimed] / distances[aimed, None]
-    return np.stack([look_along(eye, way, up) for eye, way in zip(eyes, ways, strict=True)])
+        directions[aimed] = aims[aimed] / distances[aimed, None]
+    return np.stack([look_along(eye, direction, up) for eye, direction in zip(eyes, directions, strict=True)])
 
 
 def reachable_places(field: OccupancyField, recorded: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.config import FusionConfig
 from threedvc.encoder.fusion.integration import camera_parameters, confidence_of, free_space_log_odds
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera
@@ -22,11 +23,15 @@ from threedvc.parallel import default_threads, for_ranges
 __all__ = ["OccupancyField", "widened"]
 
 MAX_CELLS = 1 << 20
-MAX_LOG_ODDS = 8.0
+"""Of a box: 4 MB of log-odds, as much again for each thread that judges views. A larger room has wider cells."""
+MAX_LOG_ODDS = FusionConfig().max_log_odds
+"""The bound of fusion: what was seen often is as sure here as there."""
 FREE, OCCUPIED = -1.0, 1.0
+"""Log-odds beyond which a cell counts as known, odds of e to 1 (a probability of 0.73); in between it is uncertain."""
 COARSER = 1.05
+"""Step by which cells are widened until they are few enough: no cell is more than 5 % wider than it has to be."""
 STOPS = 1e6
-"""Halvings per metre where rays stop."""
+"""Halvings per metre where rays stop: nothing passes even the smallest cell."""
 
 
 def widened(cells: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:

@@ -59,14 +59,14 @@ def propose(targets: Sequence[Target], best: int, threads: int) -> tuple[list[Pr
     in_sight
         Bits that all candidates together could take away, of each target.
     """
-    balances = [CandidateGains(target, threads) for target in targets]
+    gains = [CandidateGains(target, threads) for target in targets]
     proposals: list[Proposal] = []
     while len(proposals) < best:
-        balance = max(balances, key=lambda each: each.best_gain)
-        if balance.best_gain <= 0:
+        best_target = max(gains, key=lambda each: each.best_gain)
+        if best_target.best_gain <= 0:
             break
-        proposals.append(balance.take())
-    return proposals, [balance.in_sight_bits for balance in balances]
+        proposals.append(best_target.choose())
+    return proposals, [each.in_sight_bits for each in gains]
 
 
 class CandidateGains:
@@ -75,9 +75,9 @@ class CandidateGains:
     def __init__(self, target: Target, threads: int) -> None:
         self._target = target
         self._bits, self._opacity = target.field.entropy(), target.field.opacity()
-        self._taken = np.zeros_like(self._bits)
+        self._explained = np.zeros_like(self._bits)
         self._poses = np.stack([target.field.cells_from(view) for view in target.candidates])
-        self._gains, seen = self._judge(slice(None), threads)
+        self._gains, seen = self._evaluate(slice(None), threads)
         self._current = np.ones(len(self._gains), dtype=bool)
         self.in_sight_bits = float(np.sum(self._bits * seen, dtype=np.float64))
 
@@ -85,15 +85,15 @@ class CandidateGains:
     def best_gain(self) -> float:
         """Largest gain of a candidate in bits."""
         while not self._current[pick := int(np.argmax(self._gains))]:
-            self._gains[pick] = self._judge(slice(pick, pick + 1), 1)[0][0]
+            self._gains[pick] = self._evaluate(slice(pick, pick + 1), 1)[0][0]
             self._current[pick] = True
         return float(self._gains[pick])
 
-    def take(self) -> Proposal:
+    def choose(self) -> Proposal:
         """Return the best candidate and leave the others what it would not see."""
         target, gain, pick = self._target, self.best_gain, int(np.argmax(self._gains))
-        _, looks = self._judge(slice(pick, pick + 1), 1)
-        np.maximum(self._taken, looks, out=self._taken)
+        _, visibility = self._evaluate(slice(pick, pick + 1), 1)
+        np.maximum(self._explained, visibility, out=self._explained)
         self._current[:] = False
         view = target.candidates[pick]
         T_last_camera = compose(inverse(target.recorded[-1]), view)
@@ -107,17 +107,17 @@ class CandidateGains:
             turn_rad=rotation_angle(T_last_camera),
         )
 
-    def _judge(self, views: slice, threads: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Return the gains (n,) of candidates in bits, and the best look (nx, ny, nz) of any of them at each cell."""
-        poses, sight, cell_m = self._poses[views], self._target.sight, self._target.field.cell_m
-        gains, noise = np.zeros(len(poses)), sight.sensor.parameters()
+    def _evaluate(self, views: slice, threads: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return the gains (n,) of candidates in bits, and how well (nx, ny, nz) the best of them sees each cell."""
+        poses, sampling, cell_m = self._poses[views], self._target.sampling, self._target.field.cell_m
+        gains, noise = np.zeros(len(poses)), sampling.sensor.parameters()
         parts: list[NDArray[np.float32]] = []
 
         def view_range(start: int, stop: int) -> None:
             seen = np.zeros_like(self._bits)
             look_at_cells(
-                start, stop, poses, sight.slopes, cell_m, self._bits, self._taken, self._opacity, noise, sight.reach_m,
-                seen, gains,
+                start, stop, poses, sampling.slopes, cell_m, self._bits, self._explained, self._opacity, noise,
+                sampling.reach_m, seen, gains,
             )  # fmt: skip
             parts.append(seen)
 

@@ -26,15 +26,22 @@ from threedvc.render.renderer import Renderer
 from threedvc.view_planning.candidate_views import reachable_views, upward, views_around
 from threedvc.view_planning.occupancy_field import OccupancyField
 
-__all__ = ["DrawnFrame", "Sight", "Target", "draw_frames", "targets_of", "thinned"]
+__all__ = ["DrawnFrame", "Target", "ViewSampling", "downsampled_frames", "draw_frames", "targets_of"]
 
-MAX_FRAMES = 48
+MIN_FRAMES = 48
+"""Frames that are drawn if there are so many, and fewer than twice as many: more take longer, fewer leave out views."""
 PICTURE_SIDE = 160
+"""Pixels of the longer side of what is drawn, at most: the cells are wider than those of the models anyway."""
 RAYS = 4800
+"""Of a view: 80 x 60. Cells are no smaller than these are apart at the usual depth, so more would need finer cells."""
 CLEARANCE_M = 0.2
+"""Between a camera and what is occupied: room for a camera and a hand. By hand: more would close narrow passages."""
 OUTLIERS = 0.001
+"""Share of the points at each end of each axis that a box leaves out: a few stray cells would make it much larger."""
 FARTHEST = 0.99
+"""Quantile of the drawn depths up to which views see: the rest may be strays."""
 MARGIN_CELLS = 2
+"""Around the box of an object: what lies before its surface belongs to the field, too."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,8 +67,8 @@ class DrawnFrame:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sight:
-    """What the camera of a stream can see.
+class ViewSampling:
+    """The rays by which a view of the camera of a stream is judged, and how far and how surely it measures along them.
 
     Attributes
     ----------
@@ -81,9 +88,9 @@ class Sight:
     sensor: SensorModel
 
     @classmethod
-    def of(cls, camera: Camera, far_m: float, sensor: SensorModel) -> Sight:
-        """Return the sight of a camera that was used up to a depth `far_m`."""
-        rays = _reduced(camera, np.sqrt(RAYS / (camera.width * camera.height)))
+    def of(cls, camera: Camera, far_m: float, sensor: SensorModel) -> ViewSampling:
+        """Return the sampling of the views of a camera that was used up to a depth `far_m`."""
+        rays = _downsampled(camera, np.sqrt(RAYS / (camera.width * camera.height)))
         slopes = np.ascontiguousarray(rays.rays().reshape(-1, 2))
         return cls(slopes=slopes, spacing=1 / rays.fx, reach_m=min(far_m, sensor.reach_m), sensor=sensor)
 
@@ -109,8 +116,8 @@ class Target:
         (m, 4, 4) poses T_field_camera that it could be recorded from.
     T_world_field
         Where it stood at last.
-    sight
-        The camera.
+    sampling
+        How the camera samples a view.
     """
 
     number: int
@@ -118,17 +125,17 @@ class Target:
     recorded: NDArray[np.float64]
     candidates: NDArray[np.float64]
     T_world_field: Pose
-    sight: Sight
+    sampling: ViewSampling
 
 
-def thinned(states: Iterable[FrameState], most: int = MAX_FRAMES) -> list[FrameState]:
-    """Return frames at equal steps, at least `most` and fewer than twice as many if there are enough, and the last."""
+def downsampled_frames(states: Iterable[FrameState], count: int = MIN_FRAMES) -> list[FrameState]:
+    """Return frames at equal steps, at least `count` and fewer than twice as many if there are enough, and the last."""
     kept: list[FrameState] = []
     step, last = 1, None
     for position, last in enumerate(states):
         if position % step == 0:
             kept.append(last)
-        if len(kept) == 2 * most:
+        if len(kept) == 2 * count:
             kept, step = kept[::2], 2 * step
     return kept if last is None or kept[-1] is last else [*kept, last]
 
@@ -167,15 +174,15 @@ def targets_of(
     depths = np.concatenate([np.zeros(0, np.float32), *(frame.depth[frame.depth > 0] for frame in frames)])
     if not len(depths):
         raise SequenceError("no frame shows a surface, so there is nothing to explore; record something first")
-    sight = Sight.of(rigs[0].depth, float(np.quantile(depths, FARTHEST)), SENSORS[config.sensor])
+    sampling = ViewSampling.of(rigs[0].depth, float(np.quantile(depths, FARTHEST)), SENSORS[config.sensor])
     movers = [number for number in _solid(models) if number and _moves(number, models[number], states)]
     resting = {number: models[number] for number in _solid(models) if number not in movers}
     targets = []
     for number in _chosen(config.objects, movers, bool(resting), _camera_moves(states)):
         if number == 0:
-            targets.append(_world(resting, frames, sight, float(np.median(depths)), config))
+            targets.append(_world(resting, frames, sampling, float(np.median(depths)), config))
         else:
-            targets.append(_object(number, models[number], frames, sight, config))
+            targets.append(_object(number, models[number], frames, sampling, config))
     return targets
 
 
@@ -183,7 +190,7 @@ def draw_frames(
     models: Mapping[int, DecodedModel], rigs: Sequence[CameraRig], states: Sequence[FrameState], threads: int
 ) -> list[DrawnFrame]:
     """Draw small depth pictures of frames from the models as they are now."""
-    cameras = [_reduced(rig.depth, PICTURE_SIDE / max(rig.depth.width, rig.depth.height)) for rig in rigs]
+    cameras = [_downsampled(rig.depth, PICTURE_SIDE / max(rig.depth.width, rig.depth.height)) for rig in rigs]
     config = RenderConfig(supersample=1, threads=threads)
     renderers = [Renderer(CameraRig.registered_to(camera), config) for camera in cameras]
     drawable = DrawableModels(threads).refreshed(models, _solid(models))
@@ -212,7 +219,7 @@ def _solid(models: Mapping[int, DecodedModel]) -> list[int]:
     return [number for number in sorted(models) if models[number].cell_count and not models[number].guessed]
 
 
-def _reduced(camera: Camera, scale: float) -> Camera:
+def _downsampled(camera: Camera, scale: float) -> Camera:
     """Return the camera with smaller pictures; never with larger ones."""
     scale = min(scale, 1.0)
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
@@ -253,7 +260,7 @@ def _box(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.f
 def _world(
     resting: Mapping[int, DecodedModel],
     frames: Sequence[DrawnFrame],
-    sight: Sight,
+    sampling: ViewSampling,
     scale_m: float,
     config: ExplorationConfig,
 ) -> Target:
@@ -271,27 +278,27 @@ def _world(
     field = OccupancyField(
         np.minimum(low, places.min(axis=0)) - scale_m / 2,
         np.maximum(high, places.max(axis=0)) + scale_m / 2,
-        finest_m=max(sight.spacing * scale_m, *(model.voxel_size_m for model in resting.values())),
+        finest_m=max(sampling.spacing * scale_m, *(model.voxel_size_m for model in resting.values())),
         half_m=scale_m / 4,
         threads=config.threads,
     )
-    _observe(field, list(resting), frames, recorded, sight)
+    _observe(field, list(resting), frames, recorded, sampling)
     field.hold_occupied(surface)
     clearance_m = min(CLEARANCE_M, scale_m / 4)
     for place in places:
-        field.hold_free(place, clearance_m, sight.sensor)
+        field.hold_free(place, clearance_m, sampling.sensor)
     return Target(
         number=0,
         field=field,
         recorded=recorded,
         candidates=reachable_views(field, recorded, clearance_m, config.candidates),
         T_world_field=identity(),
-        sight=sight,
+        sampling=sampling,
     )
 
 
 def _object(
-    number: int, model: DecodedModel, frames: Sequence[DrawnFrame], sight: Sight, config: ExplorationConfig
+    number: int, model: DecodedModel, frames: Sequence[DrawnFrame], sampling: ViewSampling, config: ExplorationConfig
 ) -> Target:
     """Survey an object in its own frame, in which the camera moves about it."""
     showing = [frame for frame in frames if number in frame.state.T_camera_object]
@@ -300,14 +307,14 @@ def _object(
     low, high = _box(surface)
     center, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     usual_m = float(np.median(np.linalg.norm(recorded[:, :3, 3] - center, axis=1)))
-    distance_m = max(usual_m, sight.distance_m(radius_m))
-    sight = replace(sight, reach_m=min(sight.sensor.reach_m, max(sight.reach_m, distance_m + radius_m)))
-    finest_m = max(sight.spacing * distance_m, model.voxel_size_m)
+    distance_m = max(usual_m, sampling.distance_m(radius_m))
+    sampling = replace(sampling, reach_m=min(sampling.sensor.reach_m, max(sampling.reach_m, distance_m + radius_m)))
+    finest_m = max(sampling.spacing * distance_m, model.voxel_size_m)
     margin_m = MARGIN_CELLS * finest_m
     field = OccupancyField(
         low - margin_m, high + margin_m, finest_m=finest_m, half_m=radius_m / 4 + finest_m, threads=config.threads
     )
-    _observe(field, [number], showing, recorded, sight)
+    _observe(field, [number], showing, recorded, sampling)
     field.hold_occupied(surface)
     last = showing[-1].state
     return Target(
@@ -316,7 +323,7 @@ def _object(
         recorded=recorded,
         candidates=views_around(center, distance_m, upward(recorded), config.candidates),
         T_world_field=compose(last.T_world_camera, last.T_camera_object[number]),
-        sight=sight,
+        sampling=sampling,
     )
 
 
@@ -325,9 +332,9 @@ def _observe(
     members: Sequence[int],
     frames: Sequence[DrawnFrame],
     recorded: NDArray[np.float64],
-    sight: Sight,
+    sampling: ViewSampling,
 ) -> None:
     """Integrate frames, of which the pixels of some objects show what the field is of."""
     for frame, view in zip(frames, recorded, strict=True):
         shown = np.isin(frame.labels, members)
-        field.observe(frame.depth, shown, frame.camera, inverse(view), sight.sensor)
+        field.observe(frame.depth, shown, frame.camera, inverse(view), sampling.sensor)

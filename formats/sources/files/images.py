@@ -25,15 +25,21 @@ __all__ = ["PictureHeader", "read_color", "read_depth", "read_header", "read_mas
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
+"""By PNG's color type; a palette counts as three."""
 PNG_PALETTE = 3
+"""PNG's color type of a picture with a palette."""
 JPEG_EOI, JPEG_SOS, JPEG_DRI, JPEG_APP1 = 0xD9, 0xDA, 0xDD, 0xE1
+"""Second bytes of JPEG's markers."""
 EXIF, ORIENTATION_TAG = b"Exif\0\0", 0x0112
+"""How an APP1 segment with EXIF begins, and EXIF's tag of the orientation."""
 HEAD_BYTES = 64
+"""Enough for every signature here."""
 MAX_PIXELS = 1 << 26
 """64 million pixels: more than any depth camera's colour picture has, and a few hundred megabytes once decoded."""
 PNG_FIRST_CHUNK = 25
 """Bytes of IHDR with its length, type and checksum."""
 PNG_CHECKSUM_BYTES = 4
+"""After the data of each chunk."""
 MAX_EXIF_BYTES = 1 << 16
 """What a JPEG segment can hold, where EXIF comes from."""
 OTHER_KINDS = (
@@ -57,6 +63,7 @@ OTHER_KINDS = (
 MARKER = re.compile(rb"\xff[^\x00\xff]")
 MARKER_AFTER_RESTARTS = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 JPEG_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers SOF0 to SOF15; the three left out stand for tables and extensions."""
 
 
 @dataclass(frozen=True)

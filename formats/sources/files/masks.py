@@ -18,17 +18,19 @@ from threedvc.formats.sources.names import times_in
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles
 
-__all__ = ["Masks", "blends", "check_masks", "find_masks", "merged_labels", "unread_masks"]
+__all__ = ["MAX_LABEL", "Masks", "blends", "check_masks", "find_masks", "merged_labels", "unread_masks"]
 
 FOLDERS = ("masks", "mask_visib", "mask")
 OBJECT_MASK = re.compile(r"(\d{6})_(\d{6})")
 """Names of BOP's data sets: frame, and number of the object in it."""
 MAX_LABEL = 255
+"""8-bit masks have no larger ones."""
 NUMBER = re.compile(r"\d+")
 JPEG_MAGIC = b"\xff\xd8"
 NO_JPEG = "JPEG does not keep labels; save the masks as 8-bit PNG"
 RENAME = "name masks by their frame's number alone (000012.png), or FFFFFF_OOOOOO.png for one object each as BOP does"
 PROBES = 3
+"""Masks that are looked at for blends, spread over the recording: resizing spoils all alike."""
 MIN_BLENDED = 20
 """Pixels of blends that are worth a word: fewer are no object."""
 MOSTLY = 0.8

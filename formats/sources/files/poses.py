@@ -33,9 +33,12 @@ __all__ = [
 PoseArray = NDArray[np.float64]
 
 RIGID_TOLERANCE = 1e-3
+"""By which rows of a rotation may differ from orthonormal ones: files with four digits pass, scaled matrices do not."""
 UNIT_TOLERANCE = 1e-2
+"""By which a quaternion's length may differ from 1: files with three digits pass."""
 LOST = frozenset({"inf", "infinity", "nan"})
 MAX_GAP_NS = NANOSECONDS // 10
+"""Between poses that are interpolated, a tenth of a second: a hand may turn back within a longer one."""
 
 
 def rigid_poses(matrices: PoseArray, places: Sequence[str]) -> PoseArray:

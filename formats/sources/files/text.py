@@ -15,6 +15,7 @@ __all__ = ["Row", "read_json", "read_json_value", "read_lines", "read_rows", "re
 
 COMMENTS = ("#", "//", ";")
 MAX_DIGITS = 20
+"""Of an integer: 64 bits take 20, and text of any length must not be turned into numbers."""
 
 
 @dataclass(frozen=True)

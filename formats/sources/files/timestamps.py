@@ -35,11 +35,15 @@ __all__ = [
 ]
 
 INT64_LIMIT = 1 << 63
-UNITS = {"seconds": NANOSECONDS, "milliseconds": 1_000_000, "microseconds": 1000, "nanoseconds": 1}
+"""Stamps are signed 64-bit numbers in the stream."""
+UNITS = {"seconds": NANOSECONDS, "milliseconds": NANOSECONDS // 1000, "microseconds": 1000, "nanoseconds": 1}
+"""In nanoseconds."""
 SHORTEST_NS, LONGEST_NS = NANOSECONDS // 1000, 5 * NANOSECONDS
 """Intervals between frames that make sense: a fast camera's, and those of a recording in steps of seconds."""
 COUNTED = 10**7
+"""Stamps from here on are no numbers of frames: four days at 30 frames a second."""
 TYPICAL_NS = NANOSECONDS // 30
+"""Interval of most cameras: where several units fit, the one that comes nearest to it is meant."""
 INDEX_STEP = 2
 """Whole numbers that rise by this or less, from a small one on, count frames; they are no clock's."""
 SAME_RATE = 0.05

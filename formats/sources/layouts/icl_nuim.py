@@ -34,7 +34,9 @@ __all__ = ["LAYOUT"]
 
 GROUND_TRUTH = "*.gt.freiburg"
 CAMERA = Camera(width=640, height=480, fx=481.20, fy=480.00, cx=319.50, cy=239.50)
+"""As published with the data set, which has no file with it; fy is negative there, for its mirrored room."""
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+"""Between that room and a right-handed one: y turned round."""
 
 
 def recognises(folder: Path) -> bool:

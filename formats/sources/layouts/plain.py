@@ -32,7 +32,7 @@ from threedvc.errors import SequenceError
 from threedvc.formats.sources.assembly import assemble
 from threedvc.formats.sources.association import Pairing, pair_pictures
 from threedvc.formats.sources.files.intrinsics import REMEDY, find_cameras
-from threedvc.formats.sources.files.masks import Masks, find_masks
+from threedvc.formats.sources.files.masks import MAX_LABEL, Masks, find_masks
 from threedvc.formats.sources.files.poses import pose_from_row, rigid_poses
 from threedvc.formats.sources.files.text import Row, read_json, read_rows
 from threedvc.formats.sources.files.timestamps import UNITS, Clock, clock_of, parse_nanoseconds, regular_stamp, unit_of
@@ -49,7 +49,6 @@ INTRINSICS = "intrinsics.json"
 POSES = "poses.txt"
 OBJECT_POSES = "object_poses.json"
 TIMESTAMPS = "timestamps.txt"
-MAX_LABEL = 255
 
 
 def recognises(folder: Path) -> bool:

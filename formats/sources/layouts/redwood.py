@@ -21,15 +21,17 @@ from threedvc.formats.sources.files.timestamps import clock_of
 from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions, chosen_folder, first_folder
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETRES, NANOSECONDS
 
 __all__ = ["LAYOUT"]
 
 COLOR_NAMES = ("color", "rgb", "image")
 INTRINSICS_NAMES = ("camera_intrinsic.json", "intrinsic.json", "camera_primesense.json", "intrinsics.json")
 CAMERA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=319.5, cy=239.5)
+"""The PrimeSense default that the data sets of Redwood, and Open3D, take where none is given."""
 STAMPED_NAME = re.compile(r"\d+-(\d+)")
-NANOSECONDS_PER_MICROSECOND = 1000
+MICROSECOND_NS = NANOSECONDS // 1_000_000
+"""Names carry microseconds, stamps are nanoseconds."""
 
 
 def recognises(folder: Path) -> bool:
@@ -87,7 +89,7 @@ def _pairs(color_folder: Path, depth_folder: Path) -> Pairing:
 def _name_stamps(paths: Sequence[Path]) -> list[int]:
     """Return the stamps in the file names in nanoseconds, or nothing unless all names carry increasing ones."""
     matches = [STAMPED_NAME.fullmatch(path.stem) for path in paths]
-    stamps = [int(match[1]) * NANOSECONDS_PER_MICROSECOND for match in matches if match]
+    stamps = [int(match[1]) * MICROSECOND_NS for match in matches if match]
     return stamps if len(stamps) == len(paths) and stamps == sorted(stamps) else []
 
 

@@ -36,6 +36,7 @@ from threedvc.geometry.pose import Pose
 __all__ = ["DEPTH_SCALE", "LAYOUT"]
 
 DEPTH_SCALE = 5000.0
+"""Units per metre, by the benchmark's definition."""
 ASSOCIATIONS = "assoc*.txt"
 GROUND_TRUTH = "groundtruth.txt"
 HEADING = re.compile(r"(?!nan|inf)[A-Za-z_]", re.IGNORECASE)
@@ -67,6 +68,7 @@ CAMERAS = {
     ),
     "3": Camera(width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6),
 }
+"""As calibrated by the benchmark's authors, by the number of the sensor in the folder's name."""
 
 
 @dataclass(frozen=True)

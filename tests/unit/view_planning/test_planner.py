@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from helpers.streams import FRAMES, INFO, ListSequence, gradient_frame, packed_stream, toy_pose
-from reference.exploration import best_looks
+from reference.exploration import best_visibility
 from threedvc.config import (
     AppearanceConfig,
     EncoderConfig,
@@ -37,11 +37,11 @@ from threedvc.kernels.encoder.exploration import look_at_cells
 from threedvc.synthesis import SyntheticSequence, make_scene
 from threedvc.view_planning.occupancy_field import OccupancyField
 from threedvc.view_planning.planner import propose
-from threedvc.view_planning.targets import Sight, Target, draw_frames, targets_of, thinned
+from threedvc.view_planning.targets import Target, ViewSampling, downsampled_frames, draw_frames, targets_of
 
 CAMERA = Camera(width=16, height=12, fx=15.0, fy=15.0, cx=7.5, cy=5.5)
 KINECT = SENSORS[Sensor.KINECT1]
-SIGHT = Sight.of(CAMERA, 3.0, KINECT)
+SAMPLING = ViewSampling.of(CAMERA, 3.0, KINECT)
 CHOICES = ExplorationConfig(candidates=150, best=2)
 Poses = Sequence[NDArray[np.float64]]
 
@@ -61,7 +61,7 @@ def target_of(field: OccupancyField, candidates: Poses, number: int = 0) -> Targ
         recorded=identity()[None],
         candidates=np.stack(candidates),
         T_world_field=identity(),
-        sight=SIGHT,
+        sampling=SAMPLING,
     )
 
 
@@ -77,15 +77,15 @@ class TestLooks:
         field.log_odds[...] = rng.choice([-4, -1, 0, 0, 0.5, 3], field.log_odds.shape)
         views = np.stack([field.cells_from(random_view(rng)) for _ in range(12)])
         entropy, opacity = field.entropy(), field.opacity()
-        taken = rng.choice([0, 0.3], entropy.shape).astype(np.float32)
-        slopes = SIGHT.slopes[::5] + 1e-4
+        explained = rng.choice([0, 0.3], entropy.shape).astype(np.float32)
+        slopes = SAMPLING.slopes[::5] + 1e-4
         seen, gains = np.zeros_like(entropy), np.zeros(12)
         look_at_cells(
-            0, 12, views, slopes, field.cell_m, entropy, taken, opacity, KINECT.parameters(), 2.0, seen, gains
+            0, 12, views, slopes, field.cell_m, entropy, explained, opacity, KINECT.parameters(), 2.0, seen, gains
         )
-        looks = [best_looks(view, slopes, field.cell_m, opacity, KINECT, 2.0) for view in views]
-        assert np.abs(np.max(looks, axis=0) - seen).max() < 1e-4
-        assert np.allclose([(np.maximum(look - taken, 0) * entropy).sum() for look in looks], gains, rtol=1e-4)
+        visible = [best_visibility(view, slopes, field.cell_m, opacity, KINECT, 2.0) for view in views]
+        assert np.abs(np.max(visible, axis=0) - seen).max() < 1e-4
+        assert np.allclose([(np.maximum(each - explained, 0) * entropy).sum() for each in visible], gains, rtol=1e-4)
         assert gains.max() > 5
 
     def test_along_an_axis_and_on_the_faces_of_cells(self) -> None:
@@ -106,11 +106,11 @@ class TestLooks:
         seen, gains = np.zeros_like(field.entropy()), np.zeros(1)
         arguments = (field.entropy(), np.zeros_like(seen), field.opacity(), KINECT.parameters())
         view = field.cells_from(make_pose(np.eye(3), np.array([0, 0, -0.5])))[None]
-        look_at_cells(0, 1, view, SIGHT.slopes, 0.1, *arguments, 9.0, seen, gains)
+        look_at_cells(0, 1, view, SAMPLING.slopes, 0.1, *arguments, 9.0, seen, gains)
         assert seen[:, :, 12].any()
         assert not seen[:, :, 13:].any()
         near = np.zeros_like(seen)
-        look_at_cells(0, 1, view, SIGHT.slopes, 0.1, *arguments, 0.3, near, gains)
+        look_at_cells(0, 1, view, SAMPLING.slopes, 0.1, *arguments, 0.3, near, gains)
         assert near[:, :, :8].any()
         assert not near[:, :, 9:].any()
 
@@ -122,17 +122,19 @@ class TestProposals:
     def test_are_those_of_a_plain_greedy_search(self, rng: np.random.Generator) -> None:
         field, views = box(0.2), self.views(rng)
         field.log_odds[...] = rng.choice([-4, 0, 0, 3], field.log_odds.shape)
-        looks = [
-            best_looks(field.cells_from(view), SIGHT.slopes, field.cell_m, field.opacity(), KINECT, SIGHT.reach_m)
+        visible = [
+            best_visibility(
+                field.cells_from(view), SAMPLING.slopes, field.cell_m, field.opacity(), KINECT, SAMPLING.reach_m
+            )
             for view in views
         ]
         proposals, _ = propose([target_of(field, views)], 4, 1)
-        taken = np.zeros(field.log_odds.shape)
+        explained = np.zeros(field.log_odds.shape)
         for proposal in proposals:
-            gains = [(np.maximum(look - taken, 0) * field.entropy()).sum() for look in looks]
+            gains = [(np.maximum(each - explained, 0) * field.entropy()).sum() for each in visible]
             assert proposal.gain_bits == pytest.approx(max(gains), rel=1e-3)
             assert np.array_equal(proposal.T_field_camera, views[int(np.argmax(gains))])
-            taken = np.maximum(taken, looks[int(np.argmax(gains))])
+            explained = np.maximum(explained, visible[int(np.argmax(gains))])
 
     def test_differ_and_gain_ever_less(self, rng: np.random.Generator) -> None:
         views = self.views(rng)
@@ -164,13 +166,13 @@ class TestProposals:
 class TestThinned:
     def test_few_frames_all_stay(self) -> None:
         states = [state_at(index) for index in range(7)]
-        assert thinned(states, 4) == states
-        assert thinned([], 4) == []
+        assert downsampled_frames(states, 4) == states
+        assert downsampled_frames([], 4) == []
 
     @pytest.mark.parametrize("count", [8, 9, 33, 100])
     def test_many_frames_at_equal_steps_with_the_last(self, count: int) -> None:
         state = state_at(0)
-        kept = [item.index for item in thinned((replace(state, index=index) for index in range(count)), 4)]
+        kept = [item.index for item in downsampled_frames((replace(state, index=index) for index in range(count)), 4)]
         steps = np.diff(kept)
         assert 4 <= len(kept) <= 9
         assert (kept[0], kept[-1]) == (0, count - 1)
@@ -263,7 +265,7 @@ def recorded(sequence: FrameSequence, voxel_size_m: float, mode: SegmentationMod
     encode(sequence, stream, config)
     stream.seek(0)
     decoder = Decoder()
-    return decoder, thinned(decoder.frames(StreamReader(stream, "stream")))
+    return decoder, downsampled_frames(decoder.frames(StreamReader(stream, "stream")))
 
 
 def room_from(path: Poses) -> tuple[Decoder, list[FrameState]]:

@@ -21,13 +21,17 @@ from threedvc.geometry.pose import Pose, inverse
 __all__ = ["estimate_gain", "with_gain"]
 
 SAMPLES = 8000
+"""About so many pixels of a whole picture are looked up: their mean is sure to far below a level."""
 MIN_SAMPLES = 200
+"""With fewer that are known a gain would follow their noise."""
 MIN_WEIGHT = 0.05
 """Colour weight, that of a look at 4 m, from which a cell tells of a gain."""
 DARK, BRIGHT = 8.0, 247.0
 """Levels beyond which a channel may be cut off."""
 ROUNDS = 4
+"""Of means and weights in turn, from equal weights on; by hand."""
 MIN_GAIN, MAX_GAIN = 0.25, 4.0
+"""Two stops down and up: exposures change by less from what a model was seen with."""
 KEPT = 0.012
 """A gain that differs by less from the last one is noise."""
 

@@ -36,6 +36,7 @@ from threedvc.parallel import for_ranges
 __all__ = ["Observation", "camera_parameters", "confidence_of", "free_space_log_odds", "fuse", "observe"]
 
 PYRAMID_LEVELS = 5
+"""Of the colour picture, down to a sixteenth: a cell that covers more pixels is coloured by 16 x 16 of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,9 +17,11 @@ from threedvc.parallel import for_ranges
 __all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "cross_entropy_bits"]
 
 LOOK_SPREAD = 8.0
+"""Levels by which the colour of one look deviates: noise of the camera, shading and blur together; by hand."""
 LOOK_WEIGHT = 0.25
+"""Colour weight of that look: one from 2 m (weights go with the inverse square of the depth)."""
 UNKNOWN_BITS = 8.0
-"""Entropy of a colour channel before the first look."""
+"""Entropy of a colour channel before the first look: any of 256 levels."""
 
 
 def channel_bits(weight: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -29,14 +31,14 @@ def channel_bits(weight: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(np.clip(bits, 0, UNKNOWN_BITS))
 
 
-def cross_entropy_bits(off: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the cross-entropy in bits of a channel against a belief whose mean is off.
+def cross_entropy_bits(residual: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the cross-entropy in bits of a channel against a belief with another mean.
 
-    The belief has the deviation of one look; one that is far off costs as many bits as none.
+    The belief has the deviation of one look; one whose residual is large costs as many bits as none.
 
     Parameters
     ----------
-    off
+    residual
         (...) levels by which the believed mean differs from the evidence's.
     weight
         (...) colour weight of the evidence.
@@ -44,7 +46,7 @@ def cross_entropy_bits(off: NDArray[np.floating], weight: NDArray[np.floating]) 
     believed = LOOK_SPREAD**2
     with np.errstate(divide="ignore"):
         variance = believed * LOOK_WEIGHT / np.maximum(weight, 0, dtype=np.float64)
-    square = variance + np.square(off, dtype=np.float64)
+    square = variance + np.square(residual, dtype=np.float64)
     bits = 0.5 * np.log2(2 * np.pi * believed) + square / (2 * np.log(2) * believed)
     return np.asarray(np.minimum(bits, UNKNOWN_BITS))
 

@@ -73,7 +73,7 @@ fr1_rpy at 128 kbit/s: with narrower ones more of the depth is lost (decision 00
 SHARE_PER_BYTE = 0.4
 """A share of the bytes of a stream is worth this share of its squared error, as steps of quantisation trade them."""
 DEPTH_SHARE = 0.5
-"""A tenth off the misfit of the depth counts as much as about a fifth of a decibel of colours."""
+"""A tenth off the depth error counts as much as about a fifth of a decibel of colours."""
 
 
 def stream_bytes(packets: Sequence[Packet]) -> int:

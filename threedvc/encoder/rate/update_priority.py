@@ -117,10 +117,10 @@ def select_within(
     numbers, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
     gained = np.bincount(member, information_gain_bits(update, model, sent), minlength=len(numbers))
     gained *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
-    taken = bits_taken(update, member, len(numbers))
-    order = np.argsort(-gained / taken, kind="stable")
+    cost = bits_taken(update, member, len(numbers))
+    order = np.argsort(-gained / cost, kind="stable")
     chosen = np.zeros(len(numbers), dtype=bool)
-    chosen[order[np.cumsum(taken[order]) <= share * taken.sum()]] = True
+    chosen[order[np.cumsum(cost[order]) <= share * cost.sum()]] = True
     return _part(update, chosen[member])
 
 

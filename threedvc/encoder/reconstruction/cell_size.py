@@ -22,6 +22,7 @@ PIXELS_PER_CELL = 4.0
 MIN_PIXELS_PER_CELL = 1.3
 """Cells of fewer pixels would have holes between the rays."""
 REFERENCE_PIXELS = 640 * 480
+"""Of the picture that `PIXELS_PER_CELL` counts in."""
 BACKGROUND_IMAGE_FACTOR = 1.1
 """A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
 TRANSIENT_FACTOR = 2.0

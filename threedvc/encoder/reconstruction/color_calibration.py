@@ -28,25 +28,41 @@ from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
 __all__ = ["Sighting", "calibrate", "calibrate_color_cameras", "sighting"]
 
 BLURS_PX = (6.0, 3.0, 1.5)
+"""Of the pictures, coarse to fine: an offset of some pixels lies within the first, the last keeps what is sharp."""
 STEPS = 8
+"""Gauss-Newton steps at each blur: what has not converged by then does not."""
 CONVERGED = 2e-4
+"""Change of each parameter below which no other step is taken: a tenth of a pixel of a focal length of 500."""
 MIN_SIGHTS = 4
+"""Frames that must see a point, and that are needed at all: the scatter of fewer lumas tells little."""
 MIN_POINTS = 300
+"""Seen so often: nearly forty for each of the eight unknowns."""
 MIN_GAIN = 0.1
+"""Share by which lumas must agree better (decision 0005): another camera has to be worth its bytes."""
 MIN_DISPLACEMENT_PX = 1.0
+"""By which another camera must move points (decision 0005): less is not seen."""
 MIN_TRAVEL = 0.05
+"""Slopes by which points wander over the picture, 26 pixels of a focal length of 525: a camera at rest agrees with any
+calibration (decision 0005)."""
 MAX_SPREADS = 4.0
+"""Prior deviations beyond which a result is implausible: it explains something else."""
 AGREEMENT = 0.015
+"""Share of its depth by which a measurement may miss a point that it confirms: noise and poses of the first pass."""
 OUTLIER_LEVELS = 40.0
+"""Levels at which a luma has a quarter of its weight: glints and outlines, not noise."""
 SPREAD = np.array([0.1, 0.1, 0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
-"""Prior deviation of the relative focal length, k1, the turn (rad) and the shift (m)."""
+"""Prior deviation of the relative focal length, k1, the rotation (rad) and the translation (m): about what mountings
+and lenses of such sensors differ by."""
 STEP_SIZE = 1e-3
+"""Of the differences that stand for slopes: a pixel or less, within what the pictures are blurred by."""
 SAMPLES_PER_WITNESS = 50
-"""Neighbouring samples are not independent; so many of them count as one against the prior."""
+"""Neighboring samples are not independent; so many of them count as one against the prior."""
 
 
 CALIBRATION_FRAMES = 40
+"""About so many of each sensor, spread over the recording; the time goes with their number."""
 CALIBRATION_POINTS = 5000
+"""Of the surface, at random: with so many the lumas outvote the prior, and all would take longer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,12 +136,12 @@ def _travel(sightings: Sequence[Sighting]) -> float:
 
 
 def _displacement(rig: CameraRig, other: CameraRig, seen: Sighting) -> float:
-    """Return the median way in pixels by which the points of a sighting move from one rig to another."""
+    """Return the median displacement in pixels of the points of a sighting from one rig to another."""
     points = seen.points[seen.seen]
     if not len(points):
         return 0.0
-    ways = [_pixels(each, points) for each in (rig, other)]
-    return float(np.median(np.linalg.norm(ways[1] - ways[0], axis=1)))
+    before, after = (_pixels(each, points) for each in (rig, other))
+    return float(np.median(np.linalg.norm(after - before, axis=1)))
 
 
 def _pixels(rig: CameraRig, points: Doubles) -> Doubles:
@@ -134,7 +150,7 @@ def _pixels(rig: CameraRig, points: Doubles) -> Doubles:
 
 
 def _changed(rig: CameraRig, change: Doubles) -> CameraRig:
-    """Apply (log of the focal length, k1, turn, shift) to a rig."""
+    """Apply (log of the focal length, k1, rotation, translation) to a rig."""
     camera = rig.color
     k1, k2, p1, p2, k3 = camera.distortion
     color = replace(
@@ -238,9 +254,9 @@ def calibrate_color_cameras(scene: Scene, frames: FrameSequence) -> SequenceInfo
     chosen = np.random.default_rng(0).permutation(len(points))[:CALIBRATION_POINTS]
     found, rigs = [], scene.info.rigs
     for sensor, rig in enumerate(rigs):
-        taken = [frame for frame in range(len(frames)) if scene.records[frame].sensor == sensor]
+        own = [frame for frame in range(len(frames)) if scene.records[frame].sensor == sensor]
         sightings = []
-        for frame in taken[:: max(1, len(taken) // CALIBRATION_FRAMES)]:
+        for frame in own[:: max(1, len(own) // CALIBRATION_FRAMES)]:
             at = item.found[frame]
             if at is not None and at.usable:
                 T_camera_object = rig.at_sensor(at.T_camera_object)

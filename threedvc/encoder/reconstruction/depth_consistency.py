@@ -18,10 +18,11 @@ from threedvc.metrics.depth_errors import geman_mcclure_error
 __all__ = ["background_depth_error", "reclassify_sensors", "sampled_frames"]
 
 SAMPLED_FRAMES = 60
+"""At most, spread over the sequence, as each takes a cast of the model (decision 0027)."""
 
 
 def sampled_frames(frames: FrameSequence) -> range:
-    """Return the frames on which a misfit is measured."""
+    """Return the frames on which a depth error is measured."""
     return range(0, len(frames), sampling_stride(len(frames), SAMPLED_FRAMES, frames.info))
 
 

@@ -32,19 +32,24 @@ from threedvc.stream.pose_status import PoseStatus
 __all__ = ["calibrate_extrinsics"]
 
 MODEL_FRAMES, COMPARED_FRAMES = 120, 30
+"""Of the first sensor and of each other one, at most, spread over time: a model needs many views, and a correction that
+is the same in all frames few."""
 MIN_FRAMES = 4
+"""Fewer may all be wrong alike."""
 ROUNDS = 3
+"""Registration from a corrected mounting finds better matches: it is done three times (decision 0018)."""
 MIN_OVERLAP = 0.2
+"""Part of a frame's samples that must meet what the first sensor has seen: the rest says nothing."""
 OUTLIER = 3.0
 """Corrections that lie further from all than this many times their median distance do not count."""
 WORTHWHILE = 0.97
-"""Part of the misfit that another mounting must leave at most."""
+"""Part of the depth error that another mounting must leave at most: 3 % off (decision 0018)."""
 BY_DEPTH = RegistrationConfig(luma_weight=0.1)
 """Sensors see colours each in its own way, and calibration of the colour cameras comes later."""
 
 
-class _Said(NamedTuple):
-    """What one frame says: the correction of the mounting (turn, shift) (6,), how surely (6, 6)."""
+class _Correction(NamedTuple):
+    """What one frame asks for: a motion of the mounting (rotation, translation) (6,), and its information (6, 6)."""
 
     twist: Doubles
     information: Doubles
@@ -62,11 +67,11 @@ def calibrate_extrinsics(scene: Scene, frames: FrameSequence) -> SequenceInfo | 
     rigs = list(info.rigs)
     for sensor in range(1, len(rigs)):
         chosen = _chosen(scene, sensor, COMPARED_FRAMES)
-        before = _misfit(scene, frames, chosen, model, rigs[sensor].T_depth_base)
+        before = _depth_error(scene, frames, chosen, model, rigs[sensor].T_depth_base)
         mount = rigs[sensor].T_depth_base
         for _ in range(ROUNDS):
             mount = _corrected(scene, frames, chosen, model, mount)
-        if _misfit(scene, frames, chosen, model, mount) < WORTHWHILE * before:
+        if _depth_error(scene, frames, chosen, model, mount) < WORTHWHILE * before:
             rigs[sensor] = replace(rigs[sensor], T_depth_base=mount)
     same = all(one is other for one, other in zip(rigs, info.rigs, strict=True))
     return None if same else info.with_rigs(rigs)
@@ -75,12 +80,12 @@ def calibrate_extrinsics(scene: Scene, frames: FrameSequence) -> SequenceInfo | 
 def _chosen(scene: Scene, sensor: int, most: int) -> list[int]:
     """Return frames of a sensor in which the background was found, spread over time."""
     found = scene.objects[0].found
-    taken = [
+    usable = [
         frame
         for frame, at in enumerate(found)
         if at is not None and at.usable and scene.records[frame].sensor == sensor and not scene.records[frame].repeated
     ]
-    return taken[:: max(1, -(-len(taken) // most))]
+    return usable[:: max(1, -(-len(usable) // most))]
 
 
 def _first_model(scene: Scene, frames: FrameSequence) -> EvidenceModel:
@@ -97,19 +102,21 @@ def _first_model(scene: Scene, frames: FrameSequence) -> EvidenceModel:
 
 def _corrected(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> Pose:
     """Return a mounting corrected once by what frames of its sensor ask for."""
-    said = [each for number in chosen if (each := _said(scene, frames, number, model, mount)) is not None]
-    if len(said) < MIN_FRAMES:
+    corrections = [each for number in chosen if (each := _correction(scene, frames, number, model, mount)) is not None]
+    if len(corrections) < MIN_FRAMES:
         return mount
-    middle = np.median([each.twist for each in said], axis=0)
-    away = np.array([float(np.linalg.norm(each.twist - middle)) for each in said])
-    kept = [each for each, far in zip(said, away, strict=True) if far <= OUTLIER * np.median(away) + 1e-9]
+    middle = np.median([each.twist for each in corrections], axis=0)
+    away = np.array([float(np.linalg.norm(each.twist - middle)) for each in corrections])
+    kept = [each for each, far in zip(corrections, away, strict=True) if far <= OUTLIER * np.median(away) + 1e-9]
     matrix = np.sum([each.information for each in kept], axis=0)
     side = np.sum([each.information @ each.twist for each in kept], axis=0)
     twist = np.linalg.solve(matrix + 1e-6 * np.trace(matrix) * np.eye(6), side).astype(np.float64)
     return orthonormalised(compose(exp_motion(twist), mount))
 
 
-def _said(scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel, mount: Pose) -> _Said | None:
+def _correction(
+    scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel, mount: Pose
+) -> _Correction | None:
     """Register a frame with the model, and return how its sensor should be moved for it to fit; None if it is lost."""
     at = scene.objects[0].found[number]
     assert at is not None
@@ -123,10 +130,12 @@ def _said(scene: Scene, frames: FrameSequence, number: int, model: EvidenceModel
     if found.status is PoseStatus.LOST or found.overlap < MIN_OVERLAP:
         return None
     information = Alignment(problem).information(found.T_camera_object)
-    return None if information is None else _Said(log_motion(found.T_camera_object @ inverse(guess)), information)
+    return None if information is None else _Correction(log_motion(found.T_camera_object @ inverse(guess)), information)
 
 
-def _misfit(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose) -> float:
+def _depth_error(
+    scene: Scene, frames: FrameSequence, chosen: Sequence[int], model: EvidenceModel, mount: Pose
+) -> float:
     """Return the `geman_mcclure_error` of frames of a sensor with the model, if the sensor were mounted so."""
     pictures = []
     for number in chosen:

@@ -49,7 +49,7 @@ def predicted_labels(
     nearest = np.full(depth.shape, np.inf)
     for number, evidence, T_base_object in models:
         view = raycast_model(evidence, resolution, resolution.rig.at_sensor(T_base_object), threads).depth
-        off = np.where(depth > 0, np.abs(depth - view), 0)
-        mine = (view > 0) & (off <= gate) & (off < nearest)
-        labels[mine], nearest[mine] = number, off[mine]
+        residual = np.where(depth > 0, np.abs(depth - view), 0)
+        mine = (view > 0) & (residual <= gate) & (residual < nearest)
+        labels[mine], nearest[mine] = number, residual[mine]
     return labels

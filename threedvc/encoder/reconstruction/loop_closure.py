@@ -35,23 +35,35 @@ from threedvc.stream.pose_status import PoseStatus
 __all__ = ["close_loops", "corrected", "key_numbers"]
 
 STEP_RAD, STEP = 0.05, 0.035
-"""The next keyframe comes after this turn, or after this way in parts of the distance of what is seen."""
+"""The next keyframe comes after this rotation, or this displacement in parts of the distance of what is seen: then
+about a twentieth of the picture is new."""
 MAX_KEYFRAMES = 160
+"""Of a longer path they are further apart: the time for pairs and the pose graph grows with their number (decision
+0029)."""
 REACH_RAD, REACH = 0.5, 0.5
-"""Turn, and way in parts of the distance, up to which frames are held against each other."""
+"""Rotation, and displacement in parts of the distance, up to which frames are registered with each other: beyond, too
+little is seen in both."""
 MAX_LINKS = 12
+"""To earlier keyframes, spread over them: one costs a registration (decision 0029)."""
 MIN_OVERLAP, MIN_INLIERS = 0.35, 0.6
+"""Parts of the samples that must meet the other frame, and fit: more than where a model is tracked, as a wrong link
+bends the path."""
 WITNESS = 100.0
 """Neighbouring samples are not independent; so many of them count as one."""
 BEST_RAD, BEST = 1e-3, 1e-3
-"""A link is no surer than this turn, and this shift in parts of the distance: sensors bend, shutters roll."""
+"""A link is no surer than this rotation, and this displacement in parts of the distance: sensors bend, shutters roll
+(decision 0029)."""
 DRIFT_RAD, DRIFT = 1.5e-3, 1.5e-3
-"""What tracking drifts from one keyframe to the next, in turn and in shift in parts of the distance."""
-LEAST = 1e-3
-"""Corrections below this turn, and this shift in parts of the distance, are not worth another pass."""
+"""What tracking drifts from one keyframe to the next, in rotation and in displacement in parts of the distance; by
+hand."""
+MIN_CORRECTION = 1e-3
+"""Corrections below this rotation, and this displacement in parts of the distance, are not worth another pass: links
+are no surer (decision 0029)."""
 LOOP_KEYFRAMES = 6
 """Earlier keyframes than the last so many are worth a link: the model so far has bound the others together."""
 PAIRWISE = RegistrationConfig(detail_pixels=0, min_overlap=0.2, min_inliers=0.5)
+"""Registration of single frames, with luma as it is, as gain and offset are found anyway; its bounds are lower than
+those that a link must meet."""
 
 
 class _View:
@@ -110,7 +122,7 @@ def close_loops(scene: Scene, frames: FrameSequence) -> list[TrackedPose | None]
     before = [key.T_world_camera for key in keys]
     after = zip(keys, optimised(before, links), strict=True)
     corrections = {key.number: compose(pose, inverse(key.T_world_camera)) for key, pose in after}
-    if not any(_apart(motion, scene.distance_m, LEAST, LEAST) for motion in corrections.values()):
+    if not any(_apart(motion, scene.distance_m, MIN_CORRECTION, MIN_CORRECTION) for motion in corrections.values()):
         return None
     return corrected(found, corrections)
 
@@ -194,6 +206,6 @@ def _tempered(information: np.ndarray, distance_m: float) -> np.ndarray:
     return np.asarray(np.diag(floor) - np.diag(floor) @ np.linalg.solve(information + np.diag(floor), np.diag(floor)))
 
 
-def _apart(T: Pose, distance_m: float, turn_rad: float, way: float) -> bool:
-    """Tell whether a motion of the camera turns, or moves what is seen at a distance, by more than this."""
-    return rotation_angle(T) > turn_rad or float(np.linalg.norm(T[:3, 3])) > way * distance_m
+def _apart(T: Pose, distance_m: float, rotation_rad: float, displacement: float) -> bool:
+    """Tell whether a motion of the camera rotates, or displaces what is seen at a distance, by more than this."""
+    return rotation_angle(T) > rotation_rad or float(np.linalg.norm(T[:3, 3])) > displacement * distance_m

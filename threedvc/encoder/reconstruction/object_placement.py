@@ -23,6 +23,7 @@ __all__ = ["ObjectPlacement"]
 AWAY_M = 1000.0
 """Where an object is put that left: so far behind the camera that nobody will see it."""
 AWAY = make_pose(np.eye(3), np.array([0.0, 0.0, -AWAY_M]))
+"""That place, as a pose before the camera."""
 
 
 class ObjectPlacement:

@@ -16,6 +16,7 @@ __all__ = ["hardly_moves"]
 MAX_REST_PIXELS = 0.5
 """A camera that is tracked and never goes further than this stands still, and trembles by the noise of its depth."""
 MIN_DISTANCE_M = 1e-6
+"""Keeps the division finite where no distance is known."""
 
 
 def hardly_moves(found: Sequence[TrackedPose | None], rigs: Sequence[CameraRig], distance_m: float) -> bool:

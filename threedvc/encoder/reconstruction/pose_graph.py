@@ -20,9 +20,11 @@ from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, 
 __all__ = ["Link", "optimised"]
 
 STEPS = 30
+"""At most: those over which the bound comes down, and some more to converge."""
 GRADES = 12
 """Steps over which the bound of outliers comes down, by a half each."""
 CONVERGED = 1e-7
+"""Radians and metres by which a step still moves poses: far below what a link knows."""
 OUTLIER = 6.0
 """Residual in standard deviations, of all six together, at which a link has a quarter of its weight."""
 
@@ -38,7 +40,7 @@ class Link:
     T_first_second
         Pose of the second in the frame of the first.
     information
-        (6, 6) inverse covariance of its error, a small motion (turn, shift) in the frame of the first.
+        (6, 6) inverse covariance of its error, a small motion (rotation, translation) in the frame of the first.
     """
 
     first: int
@@ -58,18 +60,18 @@ def optimised(poses: Sequence[Pose], links: Sequence[Link]) -> list[Pose]:
         What was measured.
     """
     poses = list(poses)
-    for turn in range(STEPS if len(poses) > 1 and links else 0):
-        bound = OUTLIER * 2.0 ** max(0, GRADES - turn)
+    for step in range(STEPS if len(poses) > 1 and links else 0):
+        bound = OUTLIER * 2.0 ** max(0, GRADES - step)
         matrix, side = np.zeros((6 * len(poses), 6 * len(poses))), np.zeros(6 * len(poses))
         for link in links:
             _add(link, poses, bound, matrix, side)
         # Directions that nothing determines stay as they are.
         free = matrix[6:, 6:] + 1e-9 * np.trace(matrix) / len(side) * np.eye(len(side) - 6)
-        step = -np.linalg.solve(free, side[6:])
+        motion = -np.linalg.solve(free, side[6:])
         poses[1:] = [
-            orthonormalised(compose(exp_motion(step[6 * k : 6 * k + 6]), pose)) for k, pose in enumerate(poses[1:])
+            orthonormalised(compose(exp_motion(motion[6 * k : 6 * k + 6]), pose)) for k, pose in enumerate(poses[1:])
         ]
-        if turn >= GRADES and np.abs(step).max() < CONVERGED:
+        if step >= GRADES and np.abs(motion).max() < CONVERGED:
             break
     return poses
 

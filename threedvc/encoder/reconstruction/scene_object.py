@@ -21,7 +21,11 @@ from threedvc.stream.pose_status import PoseStatus
 __all__ = ["MIN_PIXELS", "SceneObject"]
 
 MIN_PIXELS = 30
+"""With depth, fewer of which neither start an object nor locate it: half of what a registration asks for
+(`RegistrationConfig.min_samples`)."""
 VISIBLE_FRAMES = 5
+"""Frames for which a block counts as in sight after it was last seen: about a sixth of a second, in which it may come
+back."""
 
 
 class SceneObject:

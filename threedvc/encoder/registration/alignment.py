@@ -51,7 +51,7 @@ GAIN_PRIOR = 100.0
 OFFSET_PRIOR = 1e-9
 """That of the offset: next to none, only so that there is a solution without any luma."""
 MAX_STEP_RAD = 0.3
-"""A larger turn is no small one any more: the step is shortened."""
+"""A larger rotation is no small one any more: the step is shortened."""
 COARSE_CONVERGENCE = 0.05
 """Pixels of the level's own picture below which no other step is taken; the next level refines the pose anyway."""
 FINE_CONVERGENCE = 0.02
@@ -152,8 +152,8 @@ class Alignment:
         Returns
         -------
         numpy.ndarray
-            (6, 6) inverse covariance of a small motion (turn, shift) of the frame in the view's camera, as if all
-            samples were independent.
+            (6, 6) inverse covariance of a small motion (rotation, translation) of the frame in the view's camera, as if
+            all samples were independent.
         """
         T_view_frame = self._view_frame(T_camera_object)
         fit = self._associate(T_view_frame, 0, None)
@@ -216,7 +216,7 @@ class Alignment:
         return depth, luma
 
     def _agreement(self, fit: Associations, T_view_frame: Pose, center: Doubles) -> tuple[Doubles, Doubles]:
-        """Return what shape and picture say of a motion (turn, shift) as far as view and frame agree, (6, 6) each.
+        """Return what shape and picture tell of a rotation and translation as far as view and frame agree, (6, 6) each.
 
         Noise tilts the normals of both and has slopes in both pictures, but not alike: in products of the one with the
         other it cancels out, in those of either with itself a plain wall would seem to have a structure, and pictures
@@ -261,8 +261,8 @@ class Alignment:
         step = unit * correction
         step *= min(1.0, MAX_STEP_RAD / max(float(np.linalg.norm(step[:3])), TINY))
         exposure = fit.exposure - coupling[:, 6] - coupling[:, :6] @ step
-        turn = rotation_from_vector(step[:3])
-        motion = make_pose(turn, center - turn @ center + step[3:])
+        rotation = rotation_from_vector(step[:3])
+        motion = make_pose(rotation, center - rotation @ center + step[3:])
         return _Step(motion, float(np.linalg.norm(correction)) * pixel * 2**level, exposure, float(grades[0]))
 
     def _judge(self, T_view_frame: Pose, exposure: Doubles | None, conditioning: float, steps: int) -> Registration:

@@ -100,7 +100,7 @@ def measure_associations(
     depth_scale = MAD_TO_SIGMA * median_of_known(np.abs(rows[some, DISTANCE]) / samples.sigma[some], 1.0)
     luma_scale = MAD_TO_SIGMA * median_of_known(np.abs(luma - exposure[0] * level - exposure[1]), 0.0)
     depth_scale, luma_scale = max(depth_scale, MIN_DEPTH_SCALE), max(luma_scale, config.luma_noise)
-    # Depth that fits badly must not hand the pose over to luma, or the misfit would grow.
+    # Depth that fits badly must not hand the pose over to luma, or its residuals would grow.
     depth_weight = max(1.0, depth_scale / MAX_DEPTH_SCALE) ** 2
     scales = np.array([depth_scale, luma_scale, depth_weight, config.luma_weight])
     return Associations(samples, rows, states, scales, exposure)

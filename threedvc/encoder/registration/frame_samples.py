@@ -16,7 +16,7 @@ from threedvc.kernels.encoder import registration as kernels
 __all__ = ["MAX_JUMP", "Samples", "level_samples", "luma_levels", "normal_reach", "sample_surface"]
 
 MIN_LEVEL_SAMPLES = 1500
-"""Coarse levels are thinned out no further: some hundred samples for each unknown outvote noise and outliers."""
+"""Coarse levels are downsampled no further: some hundred samples for each unknown outvote noise and outliers."""
 MIN_LEVEL_SIDE = 24
 """Pixels of the shorter side of the coarsest picture: of a smaller one nothing is left but a few shades."""
 NORMAL_REACH_PARTS = 160
@@ -95,7 +95,7 @@ def _window_mean(picture: Floats, side: int) -> Floats:
 
 
 def level_samples(surface: Doubles, sigma: Doubles, luma: Floats, level: int) -> Samples:
-    """Thin out the samples for a level and look up its luma."""
+    """Downsample the samples for a level and look up its luma."""
     step = max(1, min(4**level, len(surface) // MIN_LEVEL_SAMPLES))
     chosen = np.ascontiguousarray(surface[::step])
     values = np.empty(len(chosen))

@@ -30,8 +30,8 @@ from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["initial_poses", "pose_from_features", "predict", "register_multi_start"]
 
-TURNS_RAD = (0.2, 0.4)
-"""Turns about each axis that are tried: registration finds what lies within some twenty degrees (0.35) of them."""
+ROTATIONS_RAD = (0.2, 0.4)
+"""Rotations about each axis that are tried: registration finds what lies within some twenty degrees (0.35) of them."""
 REFINED_STARTS = 3
 """Of the poses tried at coarse levels so many are refined: these do not tell the best from the next best."""
 MIN_INLIERS = 0.7
@@ -76,7 +76,7 @@ def _agreement(found: Registration) -> float:
 
 
 def initial_poses(sample: DepthSample, view: ModelView) -> Iterator[Pose]:
-    """Yield poses ``T_camera_object`` to try: the view's, features, middles brought together, turns."""
+    """Yield poses ``T_camera_object`` to try: the view's, features, middles brought together, rotations."""
     yield view.T_camera_object
     points, there = (
         _points(sample.depth, sample.measured, sample.camera),
@@ -88,13 +88,13 @@ def initial_poses(sample: DepthSample, view: ModelView) -> Iterator[Pose]:
     if matched is not None:
         yield matched
     middle, other = np.median(points, axis=0), np.median(there, axis=0)
-    for turn in _turns():
-        yield make_pose(turn, middle - turn @ other) @ view.T_camera_object
+    for rotation in _rotations():
+        yield make_pose(rotation, middle - rotation @ other) @ view.T_camera_object
 
 
-def _turns() -> Iterator[Doubles]:
+def _rotations() -> Iterator[Doubles]:
     yield np.eye(3)
-    for angle in TURNS_RAD:
+    for angle in ROTATIONS_RAD:
         for axis in np.eye(3):
             yield rotation_from_vector(angle * axis)
             yield rotation_from_vector(-angle * axis)
@@ -109,7 +109,7 @@ def pose_from_features(sample: DepthSample, view: ModelView) -> Pose | None:
     """Find a pose from picture features that the frame and the view share; None where there are too few.
 
     Matched features with depth on both sides are pairs of points in space. Rigid motions through three
-    pairs drawn at random (always the same way) are tried, the one that most pairs follow is fitted to them.
+    pairs drawn at random (the same ones in every run) are tried, the one that most pairs follow is fitted to them.
     """
     frame, model = _features(sample.luma, sample.measured), _features(view.intensity, view.depth > 0)
     if frame is None or model is None:
@@ -143,8 +143,8 @@ def _lifted(pixels: Doubles, depth: Floats, camera: Camera) -> Doubles:
 def _rigid_fit(source: Doubles, target: Doubles) -> Pose:
     """Return the rigid motion that brings points nearest to their partners (least squares)."""
     a, b = source.mean(axis=0), target.mean(axis=0)
-    turn = nearest_rotation((target - b).T @ (source - a))
-    return make_pose(turn, b - turn @ a)
+    rotation = nearest_rotation((target - b).T @ (source - a))
+    return make_pose(rotation, b - rotation @ a)
 
 
 def _common_motion(source: Doubles, target: Doubles) -> Pose | None:

@@ -55,26 +55,31 @@ class RegistrationConfig:
     coarse_angle_rad, fine_angle_rad
         Largest angle between their normals: those of noisy depth scatter widely.
     min_conditioning
-        Directions with less information than this part of the best one keep the prediction.
+        Directions with less information than this part of the best one keep the prediction: their standard error
+        would be more than eleven times that of the best one.
     weak_conditioning
-        With less in some direction a result is weak.
+        With less in some direction a result is weak: eighteen times the standard error.
     agreement
         Whether that information is what frame and view agree on, so that noise on a plain wall does not count; else
         what the view alone says, which a small round object needs.
     min_samples
         Fewer associated samples are a loss: ten for each unknown of the motion.
     min_inliers, weak_inliers
-        Parts of the samples that meet the model and fit, below which a result is lost or weak.
+        Parts of the samples that meet the model and fit, below which a result is lost or weak; by hand: what moves
+        or was not seen before may be half of a picture.
     min_overlap, weak_overlap
-        Parts of all samples that meet known model, below which a result is lost or weak.
+        Parts of all samples that meet known model, below which a result is lost or weak; by hand: at the start of a
+        recording most of a picture may be new.
     max_shift, max_turn_rad
         Largest plausible correction of the guess, relative to depth and in radians; what is found beyond is another
         part of the model that looks alike.
     rest_pixels, move_pixels
-        Displacement on the picture that is always rest below the first and always motion above the second.
+        Displacement on the picture that is always rest below the first and always motion above the second: what is
+        lost in the noise, and what is seen.
     rest_significance, move_significance
         Standard errors by which the resting pose must fit worse, between these two displacements, to
-        be left by an object that rests, or not to be taken by one that moves.
+        be left by an object that rests, or not to be taken by one that moves: a wrong motion of what rests is seen,
+        a missed step of what moves is not.
     """
 
     samples: int = 8000
@@ -262,7 +267,7 @@ class Registration:
     residual_m
         Robust standard deviation of the distance to the view's surface, metres.
     conditioning
-        Smallest over largest eigenvalue of the information, turns being measured by the way of a point
+        Smallest over largest eigenvalue of the information, rotations being measured by the displacement of a point
         at typical distance from the samples' centre.
     iterations
         Number of steps taken.
