@@ -148,6 +148,7 @@ def test_a_moving_camera_has_no_backdrop() -> None:
     assert not members(packets, PacketType.DEPTH)
 
 
+@pytest.mark.long
 def test_objects_that_turn_have_a_light() -> None:
     packets = encoded(scene("objects", 30), replace(FILE, segmentation=MASKS))
     lights = members(packets, PacketType.LIGHT)
@@ -172,6 +173,7 @@ def lit_anew(frames: int, change: int) -> ListSequence:
     return ListSequence(kept, replace(before.info, frame_count=frames))
 
 
+@pytest.mark.long
 def test_a_light_that_changes_is_sent_when_it_does() -> None:
     change, config = 24, replace(with_preset(FILE, Preset.FAST), segmentation=MASKS)
     errors = []
@@ -211,6 +213,7 @@ def scatter(found: list[Pose], sequence: ListSequence) -> tuple[float, float]:
     )
 
 
+@pytest.mark.long
 def test_wrong_camera_poses_are_put_right() -> None:
     true = scene("room", 16)
     given = wrong_poses(true)
@@ -278,6 +281,7 @@ def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
     assert len(planted & left) < 0.4 * len(planted), "a third of them stand beside what is seen"
 
 
+@pytest.mark.long
 def test_what_is_seen_but_for_a_moment_is_not_hidden() -> None:
     moving = scene("room", 12)
     rng = np.random.default_rng(6)
@@ -304,6 +308,7 @@ def test_pictures_taken_when_the_depth_is_have_no_shifts(motion: Motion) -> None
     assert not members(encoded(scene("room", 10), replace(FILE, motion=motion)), PacketType.SHIFT)
 
 
+@pytest.mark.long
 def test_pictures_taken_later_have_shifts_and_depth_keeps_its_poses() -> None:
     sequence = scene("room", 16)
     frames = [replace(frame, color=sequence.frames[frame.index + 3].color) for frame in sequence.frames[:-3]]
@@ -332,7 +337,10 @@ def test_pictures_taken_later_have_shifts_and_depth_keeps_its_poses() -> None:
     assert np.median(after) < 0.85 * np.median(before)
 
 
-@pytest.mark.parametrize("rate", [14e3, 30e3, 90e3])
+LONG = pytest.mark.long
+
+
+@pytest.mark.parametrize("rate", [pytest.param(14e3, marks=LONG), 30e3, pytest.param(90e3, marks=LONG)])
 def test_a_file_meets_its_rate(rate: float) -> None:
     sequence = scene("room", 30)
     packets = encoded(sequence, replace(with_preset(FILE, Preset.FAST), bitrate_bps=rate))

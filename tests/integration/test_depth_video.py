@@ -147,6 +147,7 @@ def test_a_rate_is_met_with_a_video() -> None:
     assert stream_bytes(packets) <= rate * FRAMES / sequence.info.fps / 8
 
 
+@pytest.mark.long
 @with_video
 def test_a_rate_is_met_with_many_videos() -> None:
     sequence = nonrigid_sequence(FRAMES)
@@ -176,6 +177,7 @@ def without(packets: list[Packet]) -> list[Packet]:
     return [bare(packet) for packet in packets]
 
 
+@pytest.mark.long
 @with_video
 def test_a_file_takes_one_by_itself_where_it_is_worth_it() -> None:
     sequence = nonrigid_sequence(16, (128, 96))

@@ -172,7 +172,7 @@ class TestTurns:
 
 class TestStream:
     @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 3], ids=["synchronised", "apart"])
-    @pytest.mark.parametrize("preset", ["live", "fast", "medium"])
+    @pytest.mark.parametrize("preset", ["live", "fast", pytest.param("medium", marks=pytest.mark.long)])
     def test_every_sensor_gets_its_pictures(
         self, room: tuple[list[ListSequence], Pose], offset_ns: int, preset: str
     ) -> None:
@@ -288,6 +288,7 @@ class TestTracking:
             np.testing.assert_array_equal(one, other)
         assert rotation_angle(poses[-1]) > 0.01
 
+    @pytest.mark.long
     @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
     def test_a_wrong_mounting_is_corrected(self, room: tuple[list[ListSequence], Pose], motion: Motion) -> None:
         (left, right), T = room

@@ -322,6 +322,7 @@ def room_explored() -> tuple[list[float], list[int], list[float], list[int]]:
 
 
 class TestAdvice:
+    @pytest.mark.long
     def test_views_of_a_room_take_away_more_entropy_than_random_ones(self) -> None:
         bits, _, random_bits, _ = room_explored()
         assert bits == sorted(bits, reverse=True)
