@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import BinaryIO, NamedTuple
@@ -40,16 +39,6 @@ class StreamIndex:
     """The entries of an INDEX, by rising frame and offset."""
 
     entries: tuple[IndexEntry, ...]
-
-    def entry_of(self, frame: int) -> IndexEntry | None:
-        """Return the last entry that begins at or before a frame."""
-        place = bisect_right(self.entries, frame, key=lambda entry: entry.frame)
-        return self.entries[place - 1] if place else None
-
-    def start_for(self, frame: int) -> IndexEntry | None:
-        """Return the last entry from which decoding can start to reach a frame; None: the stream's beginning."""
-        starts = [entry for entry in self.entries if entry.random_access and entry.frame <= frame]
-        return starts[-1] if starts else None
 
 
 def pack_index(entries: Iterable[IndexEntry]) -> bytes:

@@ -15,7 +15,7 @@ from threedvc.coding.filters import MAX_FACTOR, decode_filter
 from threedvc.coding.morton import morton_order
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief, encode_relief
-from threedvc.coding.update import decode_update, encode_update
+from threedvc.coding.update import decode_update, encode_update_with_result
 from threedvc.errors import FormatError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import identity
@@ -43,7 +43,7 @@ UPDATE = ModelUpdate(
     recolored=CELLS[7::50],
     recolored_colors=COLORS[7::50] + np.int16(70),
 )
-PAYLOAD = encode_update(UPDATE, CELLS, COLORS, ColorSettings(luma_step=10, chroma_step=20))
+PAYLOAD, _ = encode_update_with_result(UPDATE, CELLS, COLORS, ColorSettings(luma_step=10, chroma_step=20))
 
 
 def decode_lawfully(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> None:

@@ -26,10 +26,16 @@ __all__ = [
 ]
 
 BYTES_PER_SAMPLE = 16
+"""Room for one: four times what noise of 20 bits takes."""
 MAX_SPACING = 64
+"""Pixels between samples, at most: ten samples along a row of 640 pixels. As the next three, it is part of the
+format."""
 MAX_SCALE_BITS = 40
+"""With it the largest sample stands for a distance of a thousand kilometres."""
 MAX_LEVELS = 10
+"""Halvings of a grid, at most: one of 1024 samples is one sample then."""
 MAX_HALVINGS = 8
+"""Halvings of the step, at most."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,6 +13,7 @@ from threedvc.model.post_filter import PAIRS, PIXEL_CLASSES, PostFilter
 __all__ = ["MAX_FACTOR", "decode_filter", "encode_filter"]
 
 MAX_FACTOR = 127
+"""Of 64: twice the difference to the pixels around, which no filter that mends a picture needs. Part of the format."""
 
 
 def encode_filter(filters: PostFilter, grey: bool) -> bytes:

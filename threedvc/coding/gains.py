@@ -13,13 +13,19 @@ from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 __all__ = ["NEUTRAL", "GainCoder", "apply_gain", "quantised_gain"]
 
 GAIN_UNIT = 1 / 128
+"""At the ends of the range a step is one level. All numbers here are part of the format (docs/coding.md)."""
 LIFT_UNIT = 0.5
+"""Half a level."""
 PIVOT = 128.0
-MAX_GAIN = 1024
-MAX_LIFT = 1024
-NEUTRAL = np.array([[128, 0]] * 3, dtype=np.int64)
+"""Level that gains leave as it is, the middle of the range: so factor and lift are coded almost independently."""
+MAX_GAIN = round(8 / GAIN_UNIT)
+"""Three stops of exposure."""
+MAX_LIFT = round(512 / LIFT_UNIT)
+"""Twice the range of a channel."""
+NEUTRAL = np.array([[round(1 / GAIN_UNIT), 0]] * 3, dtype=np.int64)
 """(3, 2): per channel the gain about middle grey in 1/128, and the lift in half levels."""
 CHANGE_COUNTERS = 6
+"""Sets of counters: of factor and lift, each of green, red and blue."""
 
 
 def quantised_gain(gain: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -22,9 +22,13 @@ from threedvc.kernels.coding.octree import BIT_COUNTS
 __all__ = ["MAX_NODES", "code_new_cells", "code_subset"]
 
 MAX_NODES = 1 << 23
+"""Of a tree, cells included: some gigabytes of a reader's memory. Part of the format, as the weights below."""
 BYTES_PER_NODE = 16
+"""Room for one: eight children of at most 11 bits each take 11."""
 ADDED_WEIGHTS = (0.1, 0.0, 0.6)
+"""First weights of contexts, of the constant, of the network: it knows new surfaces, contexts have to learn them."""
 SUBSET_WEIGHTS = (0.3, 0.0, 0.0)
+"""The same for parts of what is known, of which the network knows nothing."""
 
 
 def code_new_cells(coder: RangeCoder, codes: NDArray[np.int64] | None, state: Octree) -> NDArray[np.int64]:

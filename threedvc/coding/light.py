@@ -12,11 +12,14 @@ from threedvc.kernels.render.shading import LIGHT_TERMS
 __all__ = ["pack_light", "unpack_light"]
 
 UNIT = 1 / 64
+"""Unit of factors: a byte with a sign reaches 2 with it. Part of the format."""
+MAX_UNITS = 127
+"""What a factor can be on either side of 0."""
 
 
 def pack_light(factors: NDArray[np.float64]) -> bytes:
     """Return the payload of factors (8,), rounded to 1/64 and clamped to +-2."""
-    return np.clip(np.rint(factors / UNIT), -127, 127).astype(np.int8).tobytes()
+    return np.clip(np.rint(factors / UNIT), -MAX_UNITS, MAX_UNITS).astype(np.int8).tobytes()
 
 
 def unpack_light(payload: bytes) -> NDArray[np.float64]:

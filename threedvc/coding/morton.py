@@ -14,6 +14,7 @@ from threedvc.kernels.coding.octree import COORDINATE_BITS, interleave_bits, sep
 __all__ = ["MAX_COORDINATE", "Cube", "cells_of_codes", "morton_codes", "morton_order"]
 
 MAX_COORDINATE = 1 << (COORDINATE_BITS - 1)
+"""Cells lie within this on either side of the origin. Part of the format."""
 
 
 def morton_codes(cells: NDArray[np.int32], origin: tuple[int, int, int] | None = None) -> NDArray[np.int64]:

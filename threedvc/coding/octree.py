@@ -12,6 +12,7 @@ from threedvc.kernels.coding.octree import BIT_COUNTS, Level, expand_children, f
 __all__ = ["Neighborhood", "Octree", "TreeWalk", "children_of"]
 
 ALL_CHILDREN = 255
+"""A mask of eight ones."""
 
 
 def _empty_level(count: int = 0) -> Level:
@@ -61,7 +62,7 @@ class Neighborhood:
     def __init__(self, target_has_root: bool) -> None:
         self.near = np.full((1, 27), -1, dtype=np.int32)
         if target_has_root:
-            self.near[0, 13] = 0
+            self.near[0, CENTER] = 0
 
     def descend(self, level: Level, target: Level, count: int) -> None:
         """Go from the nodes of `level` to their `count` children."""

@@ -22,9 +22,11 @@ from threedvc.errors import CorruptStream, UnsupportedVersion
 __all__ = ["avif_file", "can_decode_pictures", "can_encode_pictures", "decode_picture", "encode_picture"]
 
 WHOLE, STRIPPED = 0, 1
+"""Lowest bit of a payload's first byte. Part of the format (docs/coding.md), as all here but what encoders are told."""
 MAX_MAGNIFIED = 3
 """Chroma is magnified by 1 + m/4 with m up to this: 0.3 dB at equal bytes, on two backgrounds; 2 is no better."""
 QUICK_SPEED, THOROUGH_SPEED = 3, 0
+"""Of the AV1 encoder: the latter takes several times as long for about 3 % fewer bytes."""
 LEAST_SQUARES = {"tune": "psnr", "enable-cdef": "1"}
 """What the encoder is to go for; by default it is what looks best, at 15 % more bytes for the same squared error."""
 HEAD = bytes.fromhex(
@@ -38,7 +40,9 @@ ITEM = bytes.fromhex(
 )
 CHANNELS = bytes.fromhex("0000000e706978690000000001080000000c61763143")
 TAIL = bytes.fromhex("00000013636f6c726e636c78000200020002800000001769706d61000000000000000100010401028304")
+"""What is the same in every such file, see `_completed`."""
 COLOR_CONFIG_BYTES = 4
+"""Content of the box av1C."""
 COLOR_BOX = slice(12, 18)
 """Where `TAIL` tells primaries, transfer function and matrix."""
 SIZE_BOX, SIZE_BYTES = re.compile(rb"ispe\0\0\0\0", re.DOTALL), 8

@@ -26,6 +26,7 @@ from threedvc.stream.wire import ByteReader, pack_varint
 __all__ = ["can_decode_sequences", "can_encode_sequences", "decode_sequence", "encode_sequence"]
 
 QUICK_SPEED, THOROUGH_SPEED = 3, 1
+"""Of the AV1 encoder: the latter takes four times as long for about 7 % fewer bytes."""
 LEAST_SQUARES = {
     "tune": "psnr",
     "arnr-strength": "0",
@@ -39,12 +40,17 @@ SEQUENCE_HEADER, FRAME, FRAME_HEADER = 0x0A, 0x32, 0x1A
 SHOWS_EARLIER, SHOWN = 0x80, 0x10
 """Bits of a frame's first byte. What only shows an earlier frame is a frame header without a frame."""
 CONFIG_BYTES = 4
+"""Content of the box av1C."""
 MAX_SIDE = (1 << 16) - 1
+"""Of an AV1 picture, whose sequence header has up to 16 bits for a side less 1."""
 BRANDS = b"avis" + bytes(4) + b"avismsf1miaf"
+"""Kinds of file that readers look for: animated AVIF of one item or track."""
 MATRIX = struct.pack(">9I", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+"""The transform that changes nothing, as ISO/IEC 14496-12 has it."""
 UNDETERMINED = 0x55C4 << 16
 """The language."""
 FULL_RANGE = b"nclx" + struct.pack(">HHHB", 2, 2, 2, 0x80)
+"""Colours of no particular kind, in full range."""
 
 
 @cache

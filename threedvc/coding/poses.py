@@ -16,7 +16,9 @@ from threedvc.kernels.coding.pose_coding import POSE_COUNTERS, RECENT_SIZE, code
 __all__ = ["PoseCoder"]
 
 MAX_TRANSLATION_M = 1e6
+"""A pose further away is damage: a thousand kilometres."""
 BYTES_PER_FRAME = 320
+"""Room for one: the costliest takes 288, of six numbers of 30 bits."""
 
 
 class PoseCoder:

@@ -14,6 +14,7 @@ from threedvc.model.decoded_model import DecodedModel
 __all__ = ["decode_relief", "encode_relief"]
 
 BYTES_PER_CELL = 8
+"""Room for one: three bits of at most 11 bits each take 5."""
 PRICE = 0.003
 """What a bit may save, in squared cells; a level of 2 bits is wrong by 0.005 on an average."""
 

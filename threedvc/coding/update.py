@@ -16,18 +16,12 @@ from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 from threedvc.kernels.coding.octree import COORDINATE_BITS
 from threedvc.model.model_update import ModelUpdate
 
-__all__ = ["decode_update", "encode_update", "encode_update_with_result"]
+__all__ = ["decode_update", "encode_update_with_result"]
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)
 NO_CODES = np.empty(0, dtype=np.int64)
-
-
-def encode_update(
-    update: ModelUpdate, cells: NDArray[np.int32], colors: NDArray[np.int16], settings: ColorSettings
-) -> bytes:
-    """Return the payload of an update; see `encode_update_with_result`."""
-    return encode_update_with_result(update, cells, colors, settings)[0]
+"""What an update is without."""
 
 
 def encode_update_with_result(
@@ -64,7 +58,7 @@ def encode_update_with_result(
 
 
 def decode_update(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> ModelUpdate:
-    """Decode an update against the state before it, as given to `encode_update`.
+    """Decode an update against the state before it, as given to `encode_update_with_result`.
 
     Raises
     ------

@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import LimitExceeded
-from threedvc.kernels.blocks import fill_slots, gather_cells, locate_cells
+from threedvc.kernels.blocks import BLOCK_CELLS, BLOCK_SIDE, fill_slots, gather_cells, locate_cells
 
 __all__ = ["BLOCK_CELLS", "BLOCK_SIDE", "CELL_LIMIT", "BlockIndex", "morton_keys"]
 
-BLOCK_SIDE = 8
-BLOCK_CELLS = BLOCK_SIDE**3
 CELL_LIMIT = 1 << 20
+"""Cells lie within this on either side of the origin: three coordinates fit into a Morton key. Part of the format."""
 ROOT_LIMIT = 1 << 24
+"""Superblocks in the bounding box: 64 MiB of root."""
 BLOCK_LIMIT = 1 << 18
+"""Blocks of an index: some gigabytes of evidence."""
 
 
 def morton_keys(cells: NDArray[np.int32]) -> NDArray[np.int64]:

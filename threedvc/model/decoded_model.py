@@ -27,6 +27,8 @@ from threedvc.stream.wire import DIGEST_BYTES
 __all__ = ["DecodedModel", "models_digest", "shifted_blocks"]
 
 PLANE_WEIGHTS = np.array([0.25, 0.75, 1.0, 0.75, 0.25])
+"""Weights of cells in the fit of a plane by their distance along each axis (decision 0003). Every reader must use
+them."""
 
 
 def shifted_blocks(blocks: NDArray[np.int32], shifts: tuple[int, ...]) -> NDArray[np.int32]:

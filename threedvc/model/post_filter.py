@@ -21,13 +21,14 @@ from threedvc.parallel import for_ranges
 __all__ = ["FACTOR_UNIT", "PAIRS", "PIXEL_CLASSES", "PostFilter", "classify_pixels", "planes_of"]
 
 PAIRS = 6
-"""Pairs of opposite pixels in a diamond of 13 about the one that is filtered."""
+"""Pairs of opposite pixels in a diamond of 13 about the one that is filtered. Measured: the next larger one gains .01
+to .05 dB more (decision 0014). All numbers here are part of the format."""
 DISTANCES = 3
 """At silhouettes, near them, elsewhere. Measured: one class for all pixels saves half as much (decision 0014)."""
 PIXEL_CLASSES = 2 * DISTANCES
 """Cells and a background image have filters of their own."""
 FACTOR_UNIT = 1 / 64
-"""Unit of the factors."""
+"""Unit of the factors: sums of pairs stay integers that single precision holds exactly."""
 EDGE = np.float32(1.05)
 """Depths of neighbors that differ by more than this factor lie on different surfaces."""
 NEAR_PX = (1, 5)

@@ -12,9 +12,9 @@ from threedvc.model.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex, mort
 
 __all__ = ["ColorGrid", "Texture", "texels_of"]
 
-PLANE_SCALE = 127
 MARGIN = 25
-"""How far beyond touching it a texel may lie from the plane of its cell, in 1/254 texels."""
+"""How far beyond touching it a texel may lie from the plane of its cell, in 1/254 texels: a tenth of one, as planes are
+rounded. Part of the format (docs/coding.md)."""
 
 
 class ColorGrid(NamedTuple):

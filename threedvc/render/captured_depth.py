@@ -20,7 +20,8 @@ __all__ = ["LEVELS", "CapturedDepth", "depth_levels"]
 LEVELS = 256
 """Values of a sample of 8 bits, as coders of video have them."""
 EDGE = 1.1
-"""Samples that differ by more than this factor lie on different surfaces."""
+"""Samples that differ by more than this factor lie on different surfaces. Every reader must use it
+(docs/drawing.md)."""
 
 
 def depth_levels(nearest_m: float, ratio: float) -> NDArray[np.float64]:

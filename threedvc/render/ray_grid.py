@@ -8,13 +8,18 @@ from numpy.typing import NDArray
 
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.kernels.render.raycast import tile_ranges
+from threedvc.kernels.render.raycast import FAR
+from threedvc.kernels.render.tiles import tile_ranges
 from threedvc.model.block_index import BlockIndex
 
 __all__ = ["RayGrid", "cells_from_camera"]
 
 TILES = 64
+"""Tiles along each side of the slope plane: ten pixels of 640, about as wide as a block is seen."""
 PACKET_SIDE = 16
+"""Rays along each side of what is cast one after another: they meet the same blocks (decision 0006)."""
+TILE_SLACK = 1e-9
+"""Added to the extent of a tile in slopes, so that rounding puts no ray beyond the last."""
 
 
 class RayGrid:
@@ -57,13 +62,13 @@ class RayGrid:
         self.slopes = np.ascontiguousarray(fine.rays().reshape(-1, 2))
         low, high = self.slopes.min(axis=0), self.slopes.max(axis=0)
         self.origin = low
-        self.size = (high - low) / TILES + 1e-9
+        self.size = (high - low) / TILES + TILE_SLACK
 
     def ranges(
         self, index: BlockIndex, T_camera_object: Pose, voxel_size_m: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return nearest and furthest depth (TILES, TILES) at which a block can be met; near > far: none."""
-        near, far = np.full((TILES, TILES), 1e9), np.zeros((TILES, TILES))
+        near, far = np.full((TILES, TILES), FAR), np.zeros((TILES, TILES))
         T = T_camera_object[:3].copy()
         T[:, 3] += (T[:, 0] + T[:, 1] + T[:, 2]) * (0.5 * voxel_size_m)
         T[:, :3] *= voxel_size_m

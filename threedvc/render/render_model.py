@@ -6,14 +6,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels.render.render_blocks import build_block
-from threedvc.model.block_index import BLOCK_CELLS, BlockIndex
+from threedvc.kernels.render.render_blocks import BORDERED_CELLS, build_block
+from threedvc.model.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex
 from threedvc.model.decoded_model import DecodedModel, shifted_blocks
 from threedvc.parallel import for_ranges
 
 __all__ = ["RenderModel"]
-
-BORDERED_CELLS = 9**3
 
 
 class RenderModel:
@@ -35,7 +33,7 @@ class RenderModel:
         if not len(changed):
             return
         around = shifted_blocks(changed, (-1, 0, 1))
-        here = around[model.index.locate(around * 8) >= 0]
+        here = around[model.index.locate(around * BLOCK_SIDE) >= 0]
         self._build(shifted_blocks(here, (-1, 0)), threads)
 
     def _build(self, blocks: NDArray[np.int32], threads: int) -> None:
@@ -52,10 +50,10 @@ class RenderModel:
             )  # fmt: skip
 
         for_ranges(block_range, len(blocks), threads)
-        keep = (skip == 0).any(axis=1) | (self.index.locate(blocks * 8) >= 0)
+        keep = (skip == 0).any(axis=1) | (self.index.locate(blocks * BLOCK_SIDE) >= 0)
         self.index.insert(blocks[keep])
         self._grow()
-        slots = self.index.locate(blocks[keep] * 8) // BLOCK_CELLS
+        slots = self.index.locate(blocks[keep] * BLOCK_SIDE) // BLOCK_CELLS
         self.skip[slots], self.corners[slots], self.plane[slots] = skip[keep], corners[keep], plane[keep]
 
     def _grow(self) -> None:

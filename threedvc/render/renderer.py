@@ -17,7 +17,8 @@ from threedvc.config import RenderConfig
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centers, interpolate_diamonds
-from threedvc.kernels.render.raycast import OPACITY, CastBlocks, Tiles, cast_rays
+from threedvc.kernels.render.raycast import OPACITY, CastBlocks, cast_rays
+from threedvc.kernels.render.tiles import Tiles
 from threedvc.model.post_filter import PostFilter, classify_pixels
 from threedvc.parallel import for_ranges
 from threedvc.render.picture import BackgroundImage, Light, Picture
@@ -28,7 +29,8 @@ from threedvc.render.shading import Gain, Hits, first_rays, pixel_colors, shaded
 __all__ = ["Renderer"]
 
 SMALL_PICTURE = 320 * 240
-"""Pixels of a picture that is drawn with four rays each: what is small looks coarse without."""
+"""Pixels of a picture that is drawn with four rays each: what is small looks coarse without (a prototype gained 0.7
+dB); in larger ones they are worth 0.05 dB (decision 0008). Every reader must use it."""
 INTERPOLATIONS: dict[int, tuple[Callable[..., None], int, int]] = {
     1: (interpolate_diamonds, 4, 4),
     2: (interpolate_centers, 2, 4),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, compose, identity, inverse
-from threedvc.kernels.render.shading import relight, round_colors, shade, shade_from_picture
+from threedvc.kernels.render.shading import SurfaceCells, relight, round_colors, shade, shade_from_picture
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.texture import ColorGrid
 from threedvc.parallel import for_ranges
@@ -28,7 +28,8 @@ Hits: TypeAlias = tuple[NDArray[np.float32], NDArray[np.uint8]]
 Gain: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Gain and offset (3,) of each channel."""
 SAME_PLACE = 1e-9
-"""A camera as near as this to that of the background image sees exactly its pixels, beyond all surfaces as well."""
+"""A camera as near as this to that of the background image sees exactly its pixels, beyond all surfaces as well.
+Every reader must use it."""
 
 
 def shaded_rays(
@@ -128,12 +129,10 @@ def _relight(
 ) -> None:
     depth, labels = hits
     T = cells_from_camera(pose, model.voxel_size_m)
+    cells = SurfaceCells(model.index.tables, model.occupied.reshape(-1), model.planes.reshape(-1, 4))
 
     def ray_range(start: int, stop: int) -> None:
-        relight(
-            start, stop, rays.slopes, depth, labels, number, T, light.R_world_object, light.factors,
-            model.index.tables, model.occupied.reshape(-1), model.planes.reshape(-1, 4), color,
-        )  # fmt: skip
+        relight(start, stop, rays.slopes, depth, labels, number, T, light.R_world_object, light.factors, cells, color)
 
     for_ranges(ray_range, len(depth), threads)
 

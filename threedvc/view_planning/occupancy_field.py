@@ -16,7 +16,7 @@ from threedvc.encoder.fusion.integration import camera_parameters, confidence_of
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, compose, inverse
-from threedvc.kernels.encoder.exploration import observe_depth
+from threedvc.kernels.encoder.exploration import DepthObservation, observe_depth
 from threedvc.metrics.entropy import bernoulli_entropy_bits
 from threedvc.parallel import default_threads, for_ranges
 
@@ -167,14 +167,15 @@ class OccupancyField:
         cells = np.diag([self.cell_m, self.cell_m, self.cell_m, 1.0])
         cells[:3, 3] = self.origin_m
         T_camera_cells, T_cells_camera = compose(T_camera_field, cells), self.cells_from(inverse(T_camera_field))
-        trust = confidence_of(depth, camera)
-        parameters, noise, free = camera_parameters(camera), sensor.parameters(), free_space_log_odds(sensor)
+        observation = DepthObservation(
+            camera_parameters(camera), sensor.parameters(), depth, mask, confidence_of(depth, camera),
+            free_space_log_odds(sensor),
+        )  # fmt: skip
 
         def slab_range(start: int, stop: int) -> None:
             observe_depth(
-                start, stop, self.log_odds, T_camera_cells, T_cells_camera, self.cell_m, parameters, depth, mask, trust,
-                noise, free, self._delta,
-            )  # fmt: skip
+                start, stop, self.log_odds, self.cell_m, observation, T_camera_cells, T_cells_camera, self._delta
+            )
 
         for_ranges(slab_range, len(self.log_odds), self._threads)
         self.log_odds += self._delta

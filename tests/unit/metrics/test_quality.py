@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from reference.metrics import slow_ssim
 from threedvc.metrics.depth_errors import DepthErrors, depth_units
-from threedvc.metrics.entropy import bernoulli_entropy_bits, gaussian_entropy_bits
+from threedvc.metrics.entropy import bernoulli_entropy_bits
 from threedvc.metrics.paper_accounting import PaperAccounting
 from threedvc.metrics.picture_quality import MAX_PSNR_DB, ColorQuality, luma, mean_color_quality, psnr, psnr_y, ssim_y
 
@@ -150,21 +150,6 @@ class TestEntropy:
 
     def test_certain_occupancy_has_none(self) -> None:
         assert np.array_equal(bernoulli_entropy_bits([-1e6, 1e6]), [0.0, 0.0])
-
-    def test_unknown_color_is_eight_bits_and_known_color_none(self) -> None:
-        assert gaussian_entropy_bits(0.0) == pytest.approx(8.0)
-        assert gaussian_entropy_bits(1e9) == 0.0
-
-    @pytest.mark.parametrize("sigma", [2.0, 5.0, 12.5])
-    def test_color_matches_the_continuous_gaussian(self, sigma: float) -> None:
-        expected = 0.5 * math.log2(2 * math.pi * math.e * sigma**2)
-        assert gaussian_entropy_bits(1 / sigma**2) == pytest.approx(expected, abs=2e-4)
-
-    @given(st.lists(st.floats(0, 1e4), min_size=2, max_size=20))
-    def test_color_entropy_falls_with_precision(self, precision: list[float]) -> None:
-        entropy = gaussian_entropy_bits(np.sort(precision))
-        assert np.all(np.diff(entropy) <= 1e-12)
-        assert np.all((entropy >= 0) & (entropy <= 8 + 1e-9))
 
 
 class TestPaper:

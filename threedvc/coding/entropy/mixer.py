@@ -11,7 +11,9 @@ from threedvc.kernels.coding.mixing import Mixer
 __all__ = ["new_mixer"]
 
 TABLE_BITS = 16
+"""Binary logarithm of the counters of a context. Part of the format (docs/coding.md), as the next."""
 ONE = 65536
+"""The weight 1."""
 
 
 def new_mixer(models: int, sets: int, rows: int, first_weights: tuple[float, ...] = (0.3, 0.0)) -> Mixer:

@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = ["OUTPUT_BIAS", "WEIGHTS"]
 
 OUTPUT_BIAS = 1220
+"""As trained, in units of 1 / PRIOR_SCALE^2. Part of the format, as the weights."""
 WEIGHTS = (
     r"0t)^K00{p5{Qds_`U3v-0ss5}0RsC00|5R92MPfD2>Sc>`~U^;`~mw7`U&*`1_S*80RsF4`uhO=0RsgG`vLR@`3e6A3i<^I{{jaA0RRK}1OWy6"
     r"{r>s{{Qds}{{RF40tWs71pNL1_yqm*00agL{|5d81^EO9`w#^55drr1`~(E*2LK2Y{0#UB2Mh@H>lFD80SFEQ0Qv+B4h-c6_X!&h1Oo&C{tp8B"

@@ -14,7 +14,7 @@ from threedvc.frames.frame import Frame
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_from_vector
-from threedvc.kernels.encoder.appearance import add_depth_equations, add_luma_equations
+from threedvc.kernels.encoder.appearance import LumaPicture, add_depth_equations, add_luma_equations
 
 __all__ = ["MIN_POINTS", "aligned_pose", "aligned_shift"]
 
@@ -140,10 +140,10 @@ class _Problem:
 
     def _luma_equations(self, estimate: _Estimate, picture: _BlurredLuma) -> tuple[Doubles, Doubles]:
         matrix, side = np.zeros((8, 8)), np.zeros(8)
+        seen = LumaPicture(*picture, self.rig.color.parameters(), self.rig.T_color_depth)
         total, count = add_luma_equations(
-            self.points, self.luma, estimate.pose, self.rig.T_color_depth, self.rig.color.parameters(), *picture,
-            estimate.gain, estimate.offset, LUMA_OUTLIER, matrix, side,
-        )  # fmt: skip
+            self.points, self.luma, estimate.pose, seen, estimate.gain, estimate.offset, LUMA_OUTLIER, matrix, side
+        )
         share = 1 / (SAMPLES_PER_WITNESS * max(total / max(count, 1.0), LUMA_NOISE**2))
         return matrix * share, side * share
 

@@ -180,15 +180,17 @@ class Alignment:
 
     def _associate(self, T_view_frame: Pose, level: int, exposure: Doubles | None) -> Associations | None:
         """Associate the samples of a level at a pose; None where too few meet the model."""
-        samples, view, luma = self.samples[level], self.view, self.view_lumas[level]
+        samples, view = self.samples[level], self.view
         rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
-        gates, scale = self._gates(level), 0.5**level
+        gates = self._gates(level)
+        pictures = kernels.ViewPictures(
+            view.depth, view.normals, self.view_lumas[level], 0.5**level, self.rays, self.parameters
+        )
 
         def work(start: int, stop: int) -> None:
             kernels.associate(
-                samples.surface, samples.luma, samples.sigma, view.depth, view.normals, luma, self.rays,
-                self.parameters, T_view_frame, scale, gates, rows, states, start * CHUNK,
-                min(stop * CHUNK, len(samples)),
+                samples.surface, samples.luma, samples.sigma, pictures, T_view_frame, gates, rows, states,
+                start * CHUNK, min(stop * CHUNK, len(samples)),
             )  # fmt: skip
 
         self._run(work, -(-len(samples) // CHUNK))

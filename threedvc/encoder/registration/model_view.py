@@ -11,7 +11,8 @@ from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.registration.frame_resolutions import Downsampled, FrameResolutions, ObjectView
 from threedvc.encoder.registration.registration_types import ModelView
 from threedvc.geometry.pose import Pose
-from threedvc.kernels.encoder.raycast_evidence import cast_evidence, fill_between
+from threedvc.kernels.encoder.raycast_evidence import EvidenceCells, ViewRays, cast_evidence, fill_between
+from threedvc.kernels.render.tiles import Tiles
 from threedvc.parallel import for_ranges
 from threedvc.render.ray_grid import cells_from_camera
 
@@ -28,23 +29,23 @@ def raycast_model(
     """
     camera, grid = resolution.camera, resolution.grid
     count = camera.width * camera.height
-    depth, intensity = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    normals, done = np.zeros((count, 3), np.float32), np.zeros(count, np.uint8)
+    view = ViewRays(np.zeros(count, np.float32), np.zeros((count, 3), np.float32), np.zeros(count, np.float32))
+    done = np.zeros(count, np.uint8)
     T = cells_from_camera(T_camera_object, model.voxel_size_m)
-    near, far = grid.ranges(model.index, T_camera_object, model.voxel_size_m)
+    tiles = Tiles(grid.origin, grid.size, *grid.ranges(model.index, T_camera_object, model.voxel_size_m))
+    cells = EvidenceCells(
+        model.voxel_size_m, model.index.tables, model.distance.reshape(-1), model.distance_weight.reshape(-1),
+        model.color.reshape(-1, 3), model.color_weight.reshape(-1),
+    )  # fmt: skip
 
     def cast(numbers: NDArray[np.int64]) -> None:
         def rays(start: int, stop: int) -> None:
-            cast_evidence(
-                grid.slopes, numbers, start, stop, T, grid.origin, grid.size, near, far, model.voxel_size_m,
-                model.index.tables, model.distance.reshape(-1), model.distance_weight.reshape(-1),
-                model.color.reshape(-1, 3), model.color_weight.reshape(-1), resolution.flat, depth, normals, intensity,
-            )  # fmt: skip
+            cast_evidence(grid.slopes, numbers, start, stop, T, tiles, cells, resolution.flat, view)
 
         for_ranges(rays, len(numbers), threads)
 
     def squares(start: int, stop: int) -> None:
-        fill_between(start, stop, camera.width, depth, normals, intensity, done)
+        fill_between(start, stop, camera.width, *view, done)
 
     cast(grid.order if exact else resolution.even)
     if len(resolution.between) and not exact:
@@ -54,9 +55,9 @@ def raycast_model(
     return ModelView(
         camera=camera,
         T_camera_object=T_camera_object,
-        depth=depth.reshape(shape),
-        normals=normals.reshape(*shape, 3),
-        intensity=intensity.reshape(shape),
+        depth=view.depth.reshape(shape),
+        normals=view.normal.reshape(*shape, 3),
+        intensity=view.intensity.reshape(shape),
     )
 
 

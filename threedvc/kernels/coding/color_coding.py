@@ -25,21 +25,32 @@ from threedvc.kernels.coding.color_transform import (
     store_children,
 )
 from threedvc.kernels.coding.entropy import NUMBER_COUNTERS, READING, Coder, code_adaptive_bit, code_number, overrun
-from threedvc.kernels.coding.mixing import Mixer, code_mixed_bit, hash_pair, mixed_log_odds, squash
+from threedvc.kernels.coding.mixing import UNIT_INPUT, Mixer, code_mixed_bit, hash_pair, mixed_log_odds, squash
 
 __all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "SIGN_COUNTERS", "Quantiser", "code_colors"]
 
 COLOR_MODELS = 7
+"""Contexts of `set_contexts`. All numbers here but the last are part of the format (docs/coding.md)."""
 COLOR_SETS = 2
+"""Selectors of weights of `set_contexts`."""
 COLOR_WEIGHT_ROWS = 128
+"""More rows than any selector has values: 24 of channel and magnitude, 64 of height and energy."""
 ESCAPE_MAGNITUDE = 6
+"""Magnitudes from this on are coded as numbers: they are rare."""
 DAMPING = 236
+"""Part, of 256, of a predicted difference that is taken: a guess with noise in it is best taken smaller."""
 SIGN_COUNTERS = 3 * 3 * 4 * 9
+"""By channel, sign of the guess, its size, and signs of luma and Co, see `code_sign`."""
 CODING_ORDER = (4, 2, 6, 1, 3, 5, 7)
+"""Places of differences: those between the largest parts of a node come first."""
 MAX_ENERGY = 1000
+"""What the magnitudes of a node count for at most: enough to tell apart what contexts do."""
 MAX_QUANTISED = 1 << 22
+"""No lawful colour needs more steps of the least size."""
 NUMBER_LIMIT = 255
+"""Bits that a counter remembers, as everywhere."""
 MIN_IMPORTANCE = 1e-5
+"""What an error counts for at least, so that a writer's price stays finite."""
 
 
 class Quantiser(NamedTuple):
@@ -152,6 +163,7 @@ def choose_quantised(residual: int, step: int, log_odds: int, price: float) -> i
     best = np.int64(0)
     least = ratio * ratio - per_bit * np.log2(1 - odds)
     for m in range(max(1, nearest - 1), nearest + 1):
+        # A rough guess for what is coded with contexts of its own: small magnitudes in unary, large ones as numbers.
         bits = 1 - np.log2(odds) + min(1.5 * (m - 1), 2 + 2 * np.log2(float(m)))
         cost = (ratio - m) * (ratio - m) + per_bit * bits
         if cost < least:
@@ -261,7 +273,7 @@ def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLe
         np.zeros(8, np.int64),
         np.zeros(8, np.float64),
     )
-    mixer.inputs[COLOR_MODELS] = 256
+    mixer.inputs[COLOR_MODELS] = UNIT_INPUT
     for i in range(len(level.masks)):
         if overrun(coder):
             return False

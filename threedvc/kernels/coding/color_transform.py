@@ -36,7 +36,12 @@ __all__ = [
 ]
 
 FRACTION_BITS = 10
+"""Bits below the point of colours: rounding in all levels of a tree adds up to far less than a grey level. As all
+numbers here, it is part of the format (docs/coding.md)."""
 MAX_VALUE = 1 << (FRACTION_BITS + 10)
+"""Bound of means, four times what colours of 8 bits can be: no product leaves 63 bits."""
+MIN_COLOR, MAX_COLOR = -256, 511
+"""Range of decoded colours: what a fit asks of cells may lie a range of 8 bits beyond it, on either side."""
 
 
 class ColorLevel(NamedTuple):
@@ -95,7 +100,9 @@ def _around() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
 
 
 AROUND, TRILINEAR, SQUARED_DISTANCE = _around()
+"""See `_around`."""
 NEAR_WEIGHT = np.array([96, 14, 4, 1], dtype=np.int64)
+"""Weights of means at the same place, in face, edge and corner contact."""
 
 
 @kernel
@@ -131,9 +138,9 @@ def from_luma_chroma(values: NDArray[np.int64], colors: NDArray[np.int16]) -> No
     half = 1 << (FRACTION_BITS - 1)
     for i in range(len(values)):
         y, co, cg = values[i, 0], values[i, 1], values[i, 2]
-        colors[i, 0] = min(max((y + co - cg + half) >> FRACTION_BITS, -256), 511)
-        colors[i, 1] = min(max((y + cg + half) >> FRACTION_BITS, -256), 511)
-        colors[i, 2] = min(max((y - co - cg + half) >> FRACTION_BITS, -256), 511)
+        colors[i, 0] = min(max((y + co - cg + half) >> FRACTION_BITS, MIN_COLOR), MAX_COLOR)
+        colors[i, 1] = min(max((y + cg + half) >> FRACTION_BITS, MIN_COLOR), MAX_COLOR)
+        colors[i, 2] = min(max((y - co - cg + half) >> FRACTION_BITS, MIN_COLOR), MAX_COLOR)
 
 
 @kernel

@@ -19,7 +19,8 @@ from threedvc.kernels.coding.depth_picture import at, differ
 __all__ = ["DepthView", "count_places", "spread_depths"]
 
 MARGIN_CELLS = 1.5
-"""How far the layer goes on beyond the border of the picture, where rays of its outermost pixels need it."""
+"""How far the layer goes on beyond the border of the picture, where rays of its outermost pixels need it. As all
+numbers here, every reader must use it."""
 NEAR = 7
 """Samples that differ by less than a part of this many may belong to the surface around a sample."""
 MIN_SHARE = 0.5
@@ -29,7 +30,11 @@ OVERLAP = 0.125
 REACH_CELLS = 0.51 + OVERLAP
 """A cell's centre is within this of the surface along some axis."""
 PLACE_LIMIT = float(1 << 24)
+"""Cells from the origin beyond which bounds are not told apart: far beyond those that an index takes."""
 FAR_DEPTH = 1e30
+"""Beyond all places."""
+CEILED, FLOORED = 0.501, 0.499
+"""Half a cell, and a little wider lest rounding leaves out a cell at a bound."""
 
 
 class DepthView(NamedTuple):
@@ -154,7 +159,7 @@ def find_bounds(view: DepthView, y: int, x: int, bounds: NDArray[np.int64]) -> N
             least, most = min(least, place), max(most, place)
         if not -PLACE_LIMIT < least <= most < PLACE_LIMIT:
             least, most = -PLACE_LIMIT, PLACE_LIMIT
-        bounds[0, axis], bounds[1, axis] = np.int64(np.ceil(least - 0.501)), np.int64(np.floor(most - 0.499)) + 1
+        bounds[0, axis], bounds[1, axis] = np.int64(np.ceil(least - CEILED)), np.int64(np.floor(most - FLOORED)) + 1
 
 
 @kernel

@@ -26,19 +26,28 @@ from threedvc.kernels.coding.entropy import (
 __all__ = ["DEPTH_COUNTERS", "JUMP", "MAX_SAMPLE", "DepthSamples", "code_depths"]
 
 JUMP = 16
-"""Samples that differ by more than a part of this many of the smaller lie on different surfaces."""
+"""Samples that differ by more than a part of this many of the smaller lie on different surfaces. All numbers here are
+part of the format (docs/coding.md)."""
 MAX_SAMPLE = 1 << 20
+"""Greatest sample: finer than any sensor, and products with it stay small."""
 LINEAR, BEFORE, AFTER = 0, 1, 2
+"""Modes: between its neighbours, or on the surface of one of them."""
 LEVEL_BINS = 4
+"""Levels with counters of their own; the coarser ones have few samples and share them."""
 ENERGY_BINS = 6
+"""See `energy_bin`."""
 COUNTER_LIMIT = 255
+"""Bits that a counter remembers, as everywhere."""
 CHECK_BINS = 18
+"""First counter of modes: before it are six of presence, others have no use."""
 MODE_BINS = 6
+"""Three of whether a mode is linear, and three of which of the others it is, by the mode beside."""
 ZERO_FIRST = CHECK_BINS + MODE_BINS
 SIGN_FIRST = ZERO_FIRST + LEVEL_BINS * ENERGY_BINS * 2
 SIZE_FIRST = SIGN_FIRST + 3
 ROOT_FIRST = SIZE_FIRST + ENERGY_BINS * NUMBER_COUNTERS
 DEPTH_COUNTERS = ROOT_FIRST + NUMBER_COUNTERS
+"""First counters of each kind, and their number."""
 
 
 class DepthSamples(NamedTuple):

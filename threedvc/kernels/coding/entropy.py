@@ -20,6 +20,7 @@ from threedvc.kernels import kernel
 __all__ = [
     "CODER_SIZE",
     "COUNTER_START",
+    "EVEN",
     "LIMIT",
     "LOW",
     "MASK32",
@@ -44,17 +45,31 @@ __all__ = [
 
 LOW, WIDTH, POSITION, LIMIT, READING = 0, 1, 2, 3, 4
 CODER_SIZE = 5
+"""Places in the state of a coder, and their number."""
 
 MASK32 = 0xFFFFFFFF
+"""The interval has 32 bits. As all that follows but `NO_LIMIT`, it is part of the format (docs/coding.md)."""
 BOTTOM = 1 << 24
+"""Width below which a byte is moved out: what a probability of 16 bits divides has 24 at least."""
 MAX_OVERRUN = 4
+"""Bytes that a reader takes beyond those that were written: as many as the interval has."""
 NO_LIMIT = 1 << 62
+"""More bytes than any writer has."""
 
 MIN_PROBABILITY = 32
+"""Of 65536: a bit costs at least 1/1419 of a bit, so a payload cannot make a reader work for ever."""
 MAX_PROBABILITY = 65536 - MIN_PROBABILITY
 COUNTER_START = 1 << 31
+"""Even odds, and no bit seen."""
+EVEN = 1 << 15
+"""Even odds, of 65536."""
+COUNTED_BITS = 10
+"""Bits of a counter that hold how many bits it has seen; above these are the 22 of its probability."""
 
-NUMBER_COUNTERS = 64
+MAX_LENGTH = 31
+"""Bits of a number below the leading one, at most."""
+NUMBER_COUNTERS = 2 * (MAX_LENGTH + 1)
+"""Counters of a number: one for each length, and as many for the bit below the leading one."""
 
 
 class Coder(NamedTuple):
@@ -75,7 +90,7 @@ class Coder(NamedTuple):
 
 def _reciprocal_table() -> NDArray[np.int32]:
     """Return 65536 / (n + 1.5) for n bits seen, rounded down."""
-    n = np.arange(1024)
+    n = np.arange(1 << COUNTED_BITS)
     return (2 * 65536 // (2 * n + 3)).astype(np.int32)
 
 
@@ -187,12 +202,12 @@ def counter_probability(counter: int) -> int:
 def adapt_counter(counters: NDArray[np.uint32], index: int, bit: int, limit: int) -> None:
     """Move a counter towards `bit` by 1 / (n + 1.5) after n bits; n stops at `limit`."""
     value = np.int64(counters[index])
-    seen = value & 1023
-    probability = value >> 10
+    seen = value & ((1 << COUNTED_BITS) - 1)
+    probability = value >> COUNTED_BITS
     probability += ((((bit << 22) - bit) - probability) * np.int64(RECIPROCAL_TABLE[seen])) >> 16
     if seen < limit:
         seen += 1
-    counters[index] = (probability << 10) | seen
+    counters[index] = (probability << COUNTED_BITS) | seen
 
 
 @kernel
@@ -212,15 +227,17 @@ def code_number(coder: Coder, value: int, counters: NDArray[np.uint32], first: i
     """
     value += 1
     length = 0
-    while length < 31 and code_adaptive_bit(coder, 1 if value >> (length + 1) else 0, counters, first + length, limit):
+    while length < MAX_LENGTH and code_adaptive_bit(
+        coder, 1 if value >> (length + 1) else 0, counters, first + length, limit
+    ):
         length += 1
     result = np.int64(1)
     for place in range(length - 1, -1, -1):
         bit = (value >> place) & 1
         if place == length - 1:
-            bit = code_adaptive_bit(coder, bit, counters, first + 32 + length, limit)
+            bit = code_adaptive_bit(coder, bit, counters, first + MAX_LENGTH + 1 + length, limit)
         else:
-            bit = code_bit(coder, bit, 32768)
+            bit = code_bit(coder, bit, EVEN)
         result = (result << 1) | bit
     return result - 1
 
@@ -231,5 +248,5 @@ def code_signed(coder: Coder, value: int, counters: NDArray[np.uint32], first: i
     magnitude = code_number(coder, abs(value), counters, first, limit)
     if magnitude == 0:
         return 0
-    negative = code_bit(coder, 1 if value < 0 else 0, 32768)
+    negative = code_bit(coder, 1 if value < 0 else 0, EVEN)
     return -magnitude if negative else magnitude

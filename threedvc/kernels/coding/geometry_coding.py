@@ -22,17 +22,23 @@ from threedvc.kernels.coding.geometry_prior import (
     list_features,
     prior_log_odds,
 )
-from threedvc.kernels.coding.mixing import Mixer, code_mixed_bit, hash_pair, mixed_log_odds
+from threedvc.kernels.coding.mixing import UNIT_INPUT, Mixer, code_mixed_bit, hash_pair, mixed_log_odds
 from threedvc.kernels.coding.octree import BIT_COUNTS
 
 __all__ = ["GEOMETRY_MODELS", "GEOMETRY_SETS", "GEOMETRY_WEIGHT_ROWS", "code_masks"]
 
 GEOMETRY_MODELS = 9
+"""Contexts of `set_contexts`. All numbers here are part of the format (docs/coding.md)."""
 GEOMETRY_SETS = 3
+"""Selectors of weights of `set_contexts`."""
 GEOMETRY_WEIGHT_ROWS = 128
+"""More rows than any selector has values: 32 of height and child, 84 of the places around, 28 of nodes."""
 MAX_HEIGHT = 3
+"""Height from which on levels share their contexts: the upper levels have few nodes to learn from."""
 EMPTY, UNKNOWN = 0, 2
+"""States of a place, besides 1: there."""
 STATE_UNIT = np.array([0, 1, 32])
+"""What a place of each state adds to a count of both: at most 27 are occupied."""
 
 
 def _sided_offsets() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -47,12 +53,15 @@ def _sided_offsets() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return touching, opposite
 
 
+# Offsets of the 27 places around and at a place: what each adds to its number of 64; those that touch a child, and all;
+# places that share a face, an edge, a corner with it.
 PLACE_SHIFT = np.array([sum((d // 3**a % 3 - 1) * 4**a for a in range(3)) for d in range(27)])
 TOUCHING, OPPOSITE = _sided_offsets()
 PLACES = np.arange(27)
 FACES = np.array([4, 10, 12, 14, 16, 22])
 EDGES = np.array([1, 3, 5, 7, 9, 11, 15, 17, 19, 21, 23, 25])
 CORNERS = np.array([0, 2, 6, 8, 18, 20, 24, 26])
+"""Offsets that docs/coding.md names."""
 
 
 @kernel
@@ -160,7 +169,7 @@ def code_masks(
     features = np.zeros(FEATURES, np.int64)
     hidden = np.zeros(len(prior.outputs), np.int32)
     height = min(height, MAX_HEIGHT)
-    mixer.inputs[GEOMETRY_MODELS] = 256
+    mixer.inputs[GEOMETRY_MODELS] = UNIT_INPUT
     for i in range(len(masks)):
         allowed = np.int64(around.allowed[i])
         if allowed == 0 or overrun(coder):

@@ -35,17 +35,25 @@ __all__ = [
 ]
 
 OWN_PLACES = 0
-NODES = 64
-UNCODED = NODES + 125
-SIDE_PLACES = UNCODED + 27
-SIDE_NODES = SIDE_PLACES + 64
-FEATURES = SIDE_NODES + 27
+NODES = OWN_PLACES + 4**3
+UNCODED = NODES + 5**3
+SIDE_PLACES = UNCODED + 3**3
+SIDE_NODES = SIDE_PLACES + 4**3
+FEATURES = SIDE_NODES + 3**3
+"""First inputs of each kind, see above, and their number. All numbers here are part of the format (docs/coding.md): the
+network was trained with them."""
 HEIGHTS = 4
+"""Heights with biases of their own; all levels from the last on share them."""
 HIDDEN = 24
+"""Hidden units."""
 PRIOR_SCALE = 64
+"""What stands for 1 in weights, which are signed bytes, so within +-2."""
 OUTPUT_SHIFT = 4
+"""From units of the square of `PRIOR_SCALE`, which is 4096, to the 256 of log-odds."""
 OUTPUT_LIMIT = 2047
+"""As of all inputs of a mixer."""
 CENTER = 13
+"""Number of the offset (0, 0, 0)."""
 
 
 class Surroundings(NamedTuple):

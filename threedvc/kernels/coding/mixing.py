@@ -20,6 +20,7 @@ __all__ = [
     "INPUT_LIMIT",
     "SQUASH_TABLE",
     "STRETCH_TABLE",
+    "UNIT_INPUT",
     "Mixer",
     "code_mixed_bit",
     "hash_pair",
@@ -29,9 +30,14 @@ __all__ = [
 ]
 
 INPUT_LIMIT = 2047
+"""Largest log-odds, in 1/256: eight nats, beyond which probabilities of 16 bits hardly change. As the next four, it is
+part of the format (docs/coding.md)."""
 COUNTER_LIMIT = 255
-LEARNING_RATE = 12
-LEARNING_SHIFT = 18
+"""Bits that a counter remembers: each of the last few hundred counts the same."""
+LEARNING_RATE, LEARNING_SHIFT = 12, 18
+"""Rate at which weights learn, a numerator and a shift: the weight of the constant input moves by 0.012 at most."""
+UNIT_INPUT = 256
+"""The constant input: log-odds of 1."""
 
 
 class Mixer(NamedTuple):

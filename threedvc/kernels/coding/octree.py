@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 COORDINATE_BITS = 21
+"""Bits of a coordinate, and greatest depth of a tree: three of them fit into a code of 63. Part of the format."""
 
 
 class Level(NamedTuple):
@@ -64,7 +65,9 @@ def _neighbor_tables() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 BIT_COUNTS = _bit_counts()
+"""Ones in each byte."""
 PARENT_OFFSET, CHILD_NUMBER = _neighbor_tables()
+"""See `_neighbor_tables`."""
 
 
 @kernel

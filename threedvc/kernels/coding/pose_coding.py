@@ -24,12 +24,23 @@ __all__ = [
 ]
 
 MAX_RESIDUAL = (1 << 30) - 1
+"""What a writer gives a residual at most: within what a signed number can be."""
 MAGNITUDE_BINS = 12
+"""Size classes of a running mean. As all below but `MIN_COSINE`, it is part of the format (docs/coding.md)."""
 POSE_COUNTERS = 2 + 2 * MAGNITUDE_BINS * NUMBER_COUNTERS
+"""Two for poses that repeat, and those of numbers by kind, rotation or translation, and size class."""
 RECENT_SIZE = 7
+"""Running means of six numbers, and whether the last pose was a repeated one."""
+SMALL_MEAN = 4
+"""Running mean, in eighths of the step, up to which numbers are of the first size class."""
+MAX_RECENT = 1 << 20
+"""What a magnitude counts for at most in a running mean, which then stays small."""
 COUNTER_LIMIT = 60
+"""Bits that a counter remembers: fewer than elsewhere, as motion changes within seconds."""
 MIN_COSINE = 1e-9
+"""Of half a turn's angle, at least: a Gibbs vector has no half turns."""
 COST_DECAY = 0.875
+"""Part of the sums of misses that is left at the next frame: the last eight or so count."""
 
 
 @kernel
@@ -245,10 +256,10 @@ def code_residuals(
         for k in range(6):
             size = recent[k]
             place = 0
-            while size > 4 and place < MAGNITUDE_BINS - 1:
+            while size > SMALL_MEAN and place < MAGNITUDE_BINS - 1:
                 size >>= 1
                 place += 1
             first = 2 + (k // 3 * MAGNITUDE_BINS + place) * NUMBER_COUNTERS
             residuals[i, k] = code_signed(coder, residuals[i, k], counters, first, COUNTER_LIMIT)
-            recent[k] += (8 * min(abs(residuals[i, k]), 1 << 20) - recent[k]) >> 2
+            recent[k] += (8 * min(abs(residuals[i, k]), MAX_RECENT) - recent[k]) >> 2
     return True

@@ -26,17 +26,26 @@ from threedvc.kernels.coding.entropy import (
 __all__ = ["FLAT", "RELIEF_COUNTERS", "UNSET", "ReliefCells", "code_relief"]
 
 UNSET = 0
+"""Relief of a cell of which none was coded yet. All numbers here are part of the format (docs/coding.md)."""
 FLAT = 255
 """Relief of a cell that spans no plane: its centre."""
 SIXTEENTHS = 16
-GUESS_BINS = 13
+"""Parts of a cell in which places are guessed: half a level of three bits is one."""
+MAX_GUESS = 12
+"""Largest guess, in sixteenths: beyond the cell's end at 8 only how sure the end is matters."""
+GUESS_BINS = MAX_GUESS + 1
+"""Classes of guesses, of two sixteenths."""
 TOLD_BINS = 4
+"""Classes by how many cells around are told: the more are, the surer is the guess."""
 NODES = 8
+"""Counters of the bits of a level, of three bits at most: one for each node of their tree."""
 RELIEF_COUNTERS = GUESS_BINS * TOLD_BINS * NODES
 COUNTER_LIMIT = 255
-MAX_GUESS = 12
+"""Bits that a counter remembers, as everywhere."""
 MAX_HEIGHT = 24
+"""Largest height of a neighbour, in sixteenths, that counts: what is one and a half cells off is another surface."""
 TOLD_WEIGHT = 4
+"""Weight of a neighbour that is told against one that is not, which stands for its centre alone."""
 
 
 class ReliefCells(NamedTuple):

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from threedvc.arrays import Doubles, Floats
 from threedvc.kernels import kernel
 from threedvc.kernels.render.shading import interpolation
 
 __all__ = [
+    "LumaPicture",
     "add_depth_equations",
     "add_luma_equations",
     "find_corners",
@@ -17,7 +21,34 @@ __all__ = [
     "scatter_colors",
 ]
 
-WEIGHT_UNIT = 1.0 / 255.0
+WEIGHT_STEPS = 255.0
+"""Weights of interpolation are kept in bytes: 8 of them a sample, and millions of samples."""
+MIN_Z_M = 0.05
+"""Points nearer to a camera, or behind it, are left out: their pixel hangs on every millimetre of the pose."""
+DEPTH_REACH = 2
+"""Pixels to both sides over which the slope of a depth is taken: next to each other noise would outweigh it."""
+DOUBT = 0.1
+"""Share of a squared residual of depth, in sigmas, that weighs it down: one of 3.2 counts half."""
+
+
+class LumaPicture(NamedTuple):
+    """A frame's luma and the colour camera that took it.
+
+    Attributes
+    ----------
+    luma, slope_x, slope_y
+        (h, w) levels, and their derivatives in levels a pixel.
+    camera
+        (9,) ``fx, fy, cx, cy, k1, k2, p1, p2, k3``.
+    T_color_depth
+        (4, 4) from the depth camera to the colour camera.
+    """
+
+    luma: Floats
+    slope_x: Floats
+    slope_y: Floats
+    camera: Doubles
+    T_color_depth: Doubles
 
 
 @kernel
@@ -40,7 +71,7 @@ def find_corners(points, tables, number, numbers, weights):
             numbers[i, k] = 0
             if found and parts[k] > 0.0:
                 numbers[i, k] = number[positions[k]]
-                weights[i, k] = np.uint8(np.floor(parts[k] * 255.0 + 0.5))
+                weights[i, k] = np.uint8(np.floor(parts[k] * WEIGHT_STEPS + 0.5))
 
 
 @kernel
@@ -124,9 +155,7 @@ def add_row(row, residual, weight, matrix, side):
 
 
 @kernel
-def add_luma_equations(
-    points, luma, T, T_color_depth, camera, picture, slope_x, slope_y, gain, offset, scale, matrix, side
-):
+def add_luma_equations(points, luma, T, picture, gain, offset, scale, matrix, side):
     """Add up the equations that pull points to where a picture shows their luma.
 
     The unknowns are a small shift and turn before the depth camera, and changes of gain and offset.
@@ -135,12 +164,12 @@ def add_luma_equations(
     ----------
     points, luma
         (n, 3) float64 points of the object in metres and (n,) their luma.
-    T, T_color_depth
-        (4, 4) from the object to the depth camera, and from there to the colour camera.
-    camera
-        (9,) ``fx, fy, cx, cy, k1, k2, p1, p2, k3``.
-    picture, slope_x, slope_y
-        (h, w) float32 luma of the frame and its derivatives.
+    T
+        (4, 4) from the object to the depth camera.
+    picture
+        See `LumaPicture`.
+    gain, offset
+        What is expected where a point has luma l: ``gain * l + offset``.
     scale
         Residual at which a point's weight has fallen to a quarter.
     matrix, side
@@ -150,10 +179,10 @@ def add_luma_equations(
     -------
     (weighted sum of squared residuals, sum of weights).
     """
-    height, width = picture.shape
+    frame_luma, slope_x, slope_y, camera, E = picture
+    height, width = frame_luma.shape
     total, count = 0.0, 0.0
     row = np.empty(8)
-    E = T_color_depth
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
@@ -162,13 +191,13 @@ def add_luma_equations(
         cx = E[0, 0] * dx + E[0, 1] * dy + E[0, 2] * dz + E[0, 3]
         cy = E[1, 0] * dx + E[1, 1] * dy + E[1, 2] * dz + E[1, 3]
         cz = E[2, 0] * dx + E[2, 1] * dy + E[2, 2] * dz + E[2, 3]
-        if cz < 0.05:
+        if cz < MIN_Z_M:
             continue
         x, y = cx / cz, cy / cz
         u, v, fu, fv = project(camera, x, y)
         if not (u >= 0.0 and v >= 0.0 and u < width - 1 and v < height - 1):
             continue
-        residual = sample(picture, u, v) - (gain * luma[i] + offset)
+        residual = sample(frame_luma, u, v) - (gain * luma[i] + offset)
         gx, gy = sample(slope_x, u, v) * fu / cz, sample(slope_y, u, v) * fv / cz
         gz = -(gx * x + gy * y)
         ax = E[0, 0] * gx + E[1, 0] * gy + E[2, 0] * gz
@@ -200,22 +229,23 @@ def add_depth_equations(points, T, camera, depth, sensor, limit, matrix, side):
         dx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
         dy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
         dz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if dz < 0.05:
+        if dz < MIN_Z_M:
             continue
         x, y = dx / dz, dy / dz
         u, v, fu, fv = project(camera, x, y)
         iu, iv = np.int64(np.floor(u + 0.5)), np.int64(np.floor(v + 0.5))
-        if iu < 2 or iv < 2 or iu >= width - 2 or iv >= height - 2:
+        reach = DEPTH_REACH
+        if iu < reach or iv < reach or iu >= width - reach or iv >= height - reach:
             continue
         here = np.float64(depth[iv, iu])
-        left, right = np.float64(depth[iv, iu - 2]), np.float64(depth[iv, iu + 2])
-        above, below = np.float64(depth[iv - 2, iu]), np.float64(depth[iv + 2, iu])
+        left, right = np.float64(depth[iv, iu - reach]), np.float64(depth[iv, iu + reach])
+        above, below = np.float64(depth[iv - reach, iu]), np.float64(depth[iv + reach, iu])
         if min(here, left, right, above, below) <= 0.0:
             continue
         slack = limit * here
         if abs(left + right - 2.0 * here) > slack or abs(above + below - 2.0 * here) > slack:
             continue
-        sx, sy = 0.25 * (right - left), 0.25 * (below - above)
+        sx, sy = 0.5 / DEPTH_REACH * (right - left), 0.5 / DEPTH_REACH * (below - above)
         away = here + sx * (u - iu) + sy * (v - iv) - dz
         if abs(away) > slack:
             continue
@@ -227,7 +257,7 @@ def add_depth_equations(points, T, camera, depth, sensor, limit, matrix, side):
         residual, gx, gy, gz = away / unit, gx / unit, gy / unit, gz / unit
         row[0], row[1], row[2] = gx, gy, gz
         row[3], row[4], row[5] = dy * gz - dz * gy, dz * gx - dx * gz, dx * gy - dy * gx
-        weight = 1.0 / (1.0 + 0.1 * residual * residual)
+        weight = 1.0 / (1.0 + DOUBT * residual * residual)
         total += weight * residual * residual
         count += weight
         add_row(row, residual, weight, matrix, side)

@@ -7,31 +7,58 @@ from the corner of the box.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from threedvc.arrays import Doubles, Floats, Mask
 from threedvc.kernels import inlined, kernel
-from threedvc.kernels.encoder.fusion import project_point, sensor_sigma
-from threedvc.kernels.encoder.ray_update import cell_update
+from threedvc.kernels.encoder.fusion import MIN_Z_M, project_point, sensor_sigma
+from threedvc.kernels.encoder.ray_update import MAX_SIDE, MAX_WINDOW, WINDOW_SIGMAS, cell_update
 
-__all__ = ["flood_cells", "look_at_cells", "observe_depth"]
+__all__ = ["DepthObservation", "flood_cells", "look_at_cells", "observe_depth"]
 
-MAX_WINDOW = 64
-MIN_DEPTH_M = 0.01
+MIN_BAND_CELLS = 2.0
+"""Cells within this of a reading are never taken as passed through: where in its cell a surface is, is not known."""
 MIN_REACH = 0.01
+"""A ray that one in a hundred comes so far tells next to nothing more."""
 MIN_SLOPE = 1e-12
+"""A direction that is smaller along an axis runs across it, and could not be divided by."""
+
+
+class DepthObservation(NamedTuple):
+    """A depth picture, and how far it counts.
+
+    Attributes
+    ----------
+    camera, sensor
+        Parameters of the camera and of the noise of its depth.
+    depth
+        (h, w) metres, 0 = unknown.
+    mask
+        (h, w): where it is not set, something else was seen, and only cells before it learn from that.
+    trust
+        (h, w) 0..1: how far a reading counts for the cells near it.
+    free_log_odds
+        By how much the log-odds of cells before a reading change.
+    """
+
+    camera: Doubles
+    sensor: Doubles
+    depth: Floats
+    mask: Mask
+    trust: Floats
+    free_log_odds: float
 
 
 @kernel
-def observe_depth(
-    start, stop, log_odds, T_camera_cells, T_cells_camera, cell_size, camera, depth, mask, trust, sensor, free_log_odds,
-    delta,
-):  # fmt: skip
+def observe_depth(start, stop, log_odds, cell_size, observation, T_camera_cells, T_cells_camera, delta):
     """Write into `delta` (nx, ny, nz) how a depth picture moves the log-odds of the cells of slabs ``start..stop``.
 
     The ray of a cell is the one through its centre, as in `threedvc.kernels.encoder.fusion`: the ray sum of eq. (6)-(7)
-    near the reading, as far as `trust` (h, w) goes there, `free_log_odds` before it, nothing behind it. Where `mask`
-    (h, w) is not set, something else was seen, and only cells before it learn from that.
+    near the reading, ``free_log_odds`` before it, nothing behind it. See `DepthObservation`.
     """
+    camera, sensor, depth, mask, trust, free_log_odds = observation
     odds, likelihood = np.empty(MAX_WINDOW), np.empty(MAX_WINDOW)
     T = T_camera_cells
     for i in range(start, stop):
@@ -40,7 +67,7 @@ def observe_depth(
                 delta[i, j, k] = 0.0
                 a, b, c = i + 0.5, j + 0.5, k + 0.5
                 z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
-                if z <= MIN_DEPTH_M:
+                if z <= MIN_Z_M:
                     continue
                 x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
                 y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
@@ -53,7 +80,7 @@ def observe_depth(
                     continue
                 sigma = sensor_sigma(reading, sensor)
                 spread = np.sqrt(sigma * sigma + cell_size * cell_size / 12.0)
-                band = max(3.0 * sigma, 2.0 * cell_size)
+                band = max(WINDOW_SIGMAS * sigma, MIN_BAND_CELLS * cell_size)
                 away = reading - z
                 if away > band:
                     delta[i, j, k] = free_log_odds
@@ -70,9 +97,9 @@ def window_change(sx, sy, z, reading, spread, T_cells_camera, cell_size, outlier
     """Return the ray sum of the cell at depth z on a ray of slopes (sx, sy); cells outside the box are unknown."""
     T = T_cells_camera
     step = cell_size / np.sqrt(sx * sx + sy * sy + 1.0)
-    window = 3.0 * spread + step
-    first = -np.int64(min(max(np.ceil((z - (reading - window)) / step), 0.0), 30.0))
-    last = np.int64(min(max(np.ceil((reading + window - z) / step), 0.0), 30.0))
+    window = WINDOW_SIGMAS * spread + step
+    first = -np.int64(min(max(np.ceil((z - (reading - window)) / step), 0.0), MAX_SIDE))
+    last = np.int64(min(max(np.ceil((reading + window - z) / step), 0.0), MAX_SIDE))
     for n in range(last - first + 1):
         t = z + (first + n) * step
         d = (reading - t) / spread

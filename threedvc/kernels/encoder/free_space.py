@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,39 @@ from threedvc.arrays import Doubles, Floats
 from threedvc.kernels import kernel
 from threedvc.kernels.encoder.fusion import project_point
 
-__all__ = ["connect_surfaces", "count_sights", "measure_misfits", "spread_labels"]
+__all__ = ["OtherFrames", "connect_surfaces", "count_free_space_votes", "measure_misfits", "spread_labels"]
+
+MIN_Z_M = 0.05
+"""Points nearer to another camera, or behind it, are not in its picture: no sensor measures there."""
+MAX_SLOPE = 1.5
+"""Slopes that no depth camera sees, of a field of 113 degrees."""
+MAX_DIFFERENCE_M = 1e9
+"""More than any two depths differ by."""
+TIE_M = 1e-6
+"""Metres that a pixel of distance counts for: of surfaces equally deep the nearer one gives its label."""
+
+
+class OtherFrames(NamedTuple):
+    """What other frames of the same camera saw.
+
+    Attributes
+    ----------
+    T_other_frame
+        (n, 4, 4): where points of a frame would be before the camera of each of them.
+    pictures, slots
+        (m, h, w, 2) least and largest depth about each pixel of frames in units of `unit_m`, 0 = unknown; the (n,)
+        places of these frames among them.
+    unit_m
+        Unit of the pictures in metres.
+    camera
+        (10,) parameters of the camera.
+    """
+
+    T_other_frame: Doubles
+    pictures: NDArray[np.uint16]
+    slots: NDArray[np.int64]
+    unit_m: float
+    camera: Doubles
 
 
 @kernel
@@ -20,7 +54,7 @@ def pixel_of(x, y, z, T, camera, width, height):
     px = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
     py = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
     # Far outside the picture a distortion polynomial may fold back into it.
-    if pz < 0.05 or abs(px) > 1.5 * pz or abs(py) > 1.5 * pz:
+    if pz < MIN_Z_M or abs(px) > MAX_SLOPE * pz or abs(py) > MAX_SLOPE * pz:
         return -1, 0, pz
     fu, fv = project_point(px, py, pz, camera)
     c, r = np.int64(np.floor(fu + 0.5)), np.int64(np.floor(fv + 0.5))
@@ -30,15 +64,11 @@ def pixel_of(x, y, z, T, camera, width, height):
 
 
 @kernel
-def count_sights(
+def count_free_space_votes(
     depth: Floats,
     rays: Doubles,
     chosen: NDArray[np.bool_],
-    T_other_frame: Doubles,
-    pictures: NDArray[np.uint16],
-    slots: NDArray[np.int64],
-    unit_m: float,
-    camera: Doubles,
+    others: OtherFrames,
     margins: Doubles,
     through: NDArray[np.uint8],
     on: NDArray[np.uint8],
@@ -51,19 +81,15 @@ def count_sights(
     ----------
     depth, rays, chosen
         (h, w) metres, (h, w, 2) slopes, and which pixels count.
-    T_other_frame
-        (n, 4, 4): where the points would be before the camera of each other frame.
-    pictures, slots
-        (m, h, w, 2) least and largest depth about each pixel of frames in units of `unit_m`, 0 = unknown; the (n,)
-        places of the other frames among them. The camera is the same.
-    camera
-        (10,) parameters of the camera.
+    others
+        See `OtherFrames`.
     margins
         (n, 3): a point is seen through that lies nearer than the nearest depth z there by more than
         ``a + b z + c z^2``, and seen unless it lies behind the furthest by more than that.
     through, on
         (h, w) counts out; pixels that are not chosen are left as they are.
     """
+    T_other_frame, pictures, slots, unit_m, camera = others
     height, width = depth.shape
     for v in range(start, stop):
         for u in range(width):
@@ -88,21 +114,12 @@ def count_sights(
 
 
 @kernel
-def measure_misfits(
-    points: Doubles,
-    T_other_frame: Doubles,
-    pictures: NDArray[np.uint16],
-    slots: NDArray[np.int64],
-    unit_m: float,
-    camera: Doubles,
-    misfits: Doubles,
-    start: int,
-    stop: int,
-) -> None:
+def measure_misfits(points: Doubles, others: OtherFrames, misfits: Doubles, start: int, stop: int) -> None:
     """Measure how far points (p, 3) lie from what the other frames ``start..stop`` show at them, in parts of the depth.
 
-    Other parameters are those of `count_sights`; `misfits` (n, p) is infinite where a frame shows nothing.
+    `misfits` (n, p) is infinite where a frame shows nothing.
     """
+    T_other_frame, pictures, slots, unit_m, camera = others
     height, width = pictures.shape[1], pictures.shape[2]
     for k in range(start, stop):
         for p in range(len(points)):
@@ -167,14 +184,14 @@ def spread_labels(
     for v in range(start, stop):
         for u in range(width):
             r, c = min((v + stride // 2) // stride, rows - 1), min((u + stride // 2) // stride, columns - 1)
-            best, label = 1e9, coarse_labels[r, c]
+            best, label = MAX_DIFFERENCE_M, coarse_labels[r, c]
             z = depth[v, u]
             if z > 0.0:
                 for nr in range(max(v // stride, 0), min(v // stride + 2, rows)):
                     for nc in range(max(u // stride, 0), min(u // stride + 2, columns)):
                         there = coarse_depth[nr, nc]
                         if there > 0.0:
-                            step = abs(there - z) + 1e-6 * (abs(nr * stride - v) + abs(nc * stride - u))
+                            step = abs(there - z) + TIE_M * (abs(nr * stride - v) + abs(nc * stride - u))
                             if step < best:
                                 best, label = step, coarse_labels[nr, nc]
             labels[v, u] = label

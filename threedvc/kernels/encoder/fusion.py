@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
-from threedvc.kernels.blocks import find_cell
-from threedvc.kernels.encoder.ray_update import cell_update
+from threedvc.kernels.blocks import BLOCK_CELLS, BLOCK_RADIUS, BLOCK_SIDE, find_cell
+from threedvc.kernels.encoder.ray_update import MAX_SIDE, MAX_WINDOW, WINDOW_SIGMAS, cell_update
 
 __all__ = [
+    "MIN_Z_M",
     "ColorCells",
     "ColorReading",
     "DepthCells",
@@ -29,8 +30,34 @@ __all__ = [
     "visible_blocks",
 ]
 
-MAX_WINDOW = 64
+MIN_Z_M = 0.01
+"""What is nearer to a camera, or behind it, is not in its picture: no sensor measures there."""
 BEYOND_BORDER = 0.02
+"""Weight of a reading at the border for cells beyond it: a fiftieth, so that views that show them outweigh it
+(decision 0011)."""
+MIN_BAND_CELLS = 2.0
+"""Cells within this of a reading count as near it, however exact: where in its cell a surface is, is not known."""
+EXCESS_SIGMA_M = 0.001
+"""Added to a sensor's deviation, as poses and calibration err as well: weights of exact readings stay finite."""
+UNIT_SIGMA_M = EXCESS_SIGMA_M + 0.0012
+"""Deviation of a reading of weight 1: a Kinect's at one metre."""
+MAX_WEIGHT = 200.0
+"""Weight of a distance at which it stops to grow, so that what was seen often can still change."""
+COLOR_SIGMAS, COLOR_CELLS = 2.0, 1.5
+"""Cells within so many deviations of a reading, or so many edges, take its colour: those that a surface may pass."""
+MAX_COLOR_WEIGHT = 1e4
+"""The same for colours, of which a look from one metre weighs 1 at most: they hardly change any more."""
+OUTLINE, OUTLINE_PX = 1.5, 2.0
+"""How many times wider than radius over depth a sphere is taken to be seen, and pixels beyond: it is wider aside of the
+axis, and far ones are smaller than a pixel."""
+LENS_SLACK = 0.25
+"""Part of a picture by which a lens with distortion may move a block into it."""
+REPEATED_KEYS = 8
+"""Keys listed last that a block is looked for among: a ray and its neighbour meet no more."""
+KEY_BITS = 21
+"""Bits of one coordinate of a block's key: three of them fit into 63."""
+KEY_OFFSET = 1 << (KEY_BITS - 1)
+"""Added to a coordinate, which may be negative; far beyond what an index accepts."""
 
 
 class DepthCells(NamedTuple):
@@ -117,13 +144,13 @@ def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, 
     +-2^20, far beyond what the index accepts; `keys` is int64 with room for ``5 * pixels`` entries.
     """
     count = 0
-    size = voxel_size * 8.0
+    size = voxel_size * BLOCK_SIDE
     for v in range(0, depth.shape[0], stride):
         for u in range(0, depth.shape[1], stride):
             z = depth[v, u]
             if z <= 0.0 or not mask[v, u]:
                 continue
-            band = max(band_sigmas * sensor_sigma(z, sensor), 2.0 * voxel_size)
+            band = max(band_sigmas * sensor_sigma(z, sensor), MIN_BAND_CELLS * voxel_size)
             for step in range(-2, 3):
                 t = z + 0.5 * step * band
                 x, y = rays[v, u, 0] * t, rays[v, u, 1] * t
@@ -131,10 +158,10 @@ def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, 
                 for axis in range(3):
                     row = T_object_camera[axis]
                     place = row[0] * x + row[1] * y + row[2] * t + row[3]
-                    block = min(max(np.floor(place / size), -1048576.0), 1048575.0)
-                    key |= (np.int64(block) + 1048576) << (21 * axis)
+                    block = min(max(np.floor(place / size), -float(KEY_OFFSET)), float(KEY_OFFSET - 1))
+                    key |= (np.int64(block) + KEY_OFFSET) << (KEY_BITS * axis)
                 fresh = True
-                for back in range(1, min(count, 8) + 1):
+                for back in range(1, min(count, REPEATED_KEYS) + 1):
                     if keys[count - back] == key:
                         fresh = False
                         break
@@ -148,22 +175,23 @@ def mark_blocks(depth, mask, rays, stride, T_object_camera, voxel_size, sensor, 
 def visible_blocks(coords, count, voxel_size, T_camera_object, camera, width, height, far, numbers):
     """List the numbers of blocks whose bounding sphere can be seen nearer than `far`; return how many."""
     found = 0
-    radius = 8.0 * voxel_size * 0.8661
+    radius = BLOCK_RADIUS * voxel_size
     for b in range(count):
-        cx = (coords[b, 0] * 8 + 4) * voxel_size
-        cy = (coords[b, 1] * 8 + 4) * voxel_size
-        cz = (coords[b, 2] * 8 + 4) * voxel_size
+        cx = (coords[b, 0] * BLOCK_SIDE + BLOCK_SIDE // 2) * voxel_size
+        cy = (coords[b, 1] * BLOCK_SIDE + BLOCK_SIDE // 2) * voxel_size
+        cz = (coords[b, 2] * BLOCK_SIDE + BLOCK_SIDE // 2) * voxel_size
         T = T_camera_object
         z = T[2, 0] * cx + T[2, 1] * cy + T[2, 2] * cz + T[2, 3]
         if z < -radius or z > far + radius:
             continue
+        # Nearer blocks may lie anywhere in the picture.
         if z > 2.0 * radius:
             x = T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3]
             y = T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3]
-            reach_x = 1.5 * camera[0] * radius / (z - radius) + 2.0
-            reach_y = 1.5 * camera[1] * radius / (z - radius) + 2.0
+            reach_x = OUTLINE * camera[0] * radius / (z - radius) + OUTLINE_PX
+            reach_y = OUTLINE * camera[1] * radius / (z - radius) + OUTLINE_PX
             u, v = camera[0] * x / z + camera[2], camera[1] * y / z + camera[3]
-            slack_u, slack_v = 0.25 * width * camera[9], 0.25 * height * camera[9]
+            slack_u, slack_v = LENS_SLACK * width * camera[9], LENS_SLACK * height * camera[9]
             if u < -reach_x - slack_u or u > width + reach_x + slack_u:
                 continue
             if v < -reach_y - slack_v or v > height + reach_y + slack_v:
@@ -185,9 +213,9 @@ def ray_window_update(
     root_origin, root, supers = tables
     sx, sy = x / z, y / z
     step = voxel_size / np.sqrt(sx * sx + sy * sy + 1.0)
-    window = 3.0 * sigma + step
-    first = -np.int64(min(max(np.ceil((z - (reading - window)) / step), 0.0), 30.0))
-    last = np.int64(min(max(np.ceil((reading + window - z) / step), 0.0), 30.0))
+    window = WINDOW_SIGMAS * sigma + step
+    first = -np.int64(min(max(np.ceil((z - (reading - window)) / step), 0.0), MAX_SIDE))
+    last = np.int64(min(max(np.ceil((reading + window - z) / step), 0.0), MAX_SIDE))
     n = last - first + 1
     for k in range(n):
         t = z + (first + k) * step
@@ -222,13 +250,13 @@ def integrate_depth(numbers, start, stop, cells, reading, T_camera_object, T_obj
     T = T_camera_object
     for n in range(start, stop):
         b = numbers[n]
-        for i in range(512):
+        for i in range(BLOCK_CELLS):
             delta[n, i] = 0.0
-            px = (coords[b, 0] * 8 + (i & 7) + 0.5) * voxel_size
-            py = (coords[b, 1] * 8 + ((i >> 3) & 7) + 0.5) * voxel_size
-            pz = (coords[b, 2] * 8 + (i >> 6) + 0.5) * voxel_size
+            px = (coords[b, 0] * BLOCK_SIDE + (i & 7) + 0.5) * voxel_size
+            py = (coords[b, 1] * BLOCK_SIDE + ((i >> 3) & 7) + 0.5) * voxel_size
+            pz = (coords[b, 2] * BLOCK_SIDE + (i >> 6) + 0.5) * voxel_size
             z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-            if z <= 0.01:
+            if z <= MIN_Z_M:
                 continue
             x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
             y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
@@ -247,11 +275,11 @@ def integrate_depth(numbers, start, stop, cells, reading, T_camera_object, T_obj
                 continue
             sigma = sensor_sigma(measured, sensor)
             spread = np.sqrt(sigma * sigma + voxel_size * voxel_size / 12.0)
-            band = max(band_sigmas * sigma, 2.0 * voxel_size)
+            band = max(band_sigmas * sigma, MIN_BAND_CELLS * voxel_size)
             away = measured - z
             if away < -band or (not mask[v, u] and away < band):
                 continue
-            precision = (0.001 + 0.0012) * (0.001 + 0.0012) / ((0.001 + sigma) * (0.001 + sigma))
+            precision = UNIT_SIGMA_M * UNIT_SIGMA_M / ((EXCESS_SIGMA_M + sigma) * (EXCESS_SIGMA_M + sigma)) * share
             if away > band:
                 delta[n, i] = free_log_odds
             else:
@@ -261,10 +289,9 @@ def integrate_depth(numbers, start, stop, cells, reading, T_camera_object, T_obj
                 if frame < first_seen[b, i]:
                     first_seen[b, i] = frame
             delta[n, i] *= share
-            precision *= share
             total = weight[b, i] + precision
             distance[b, i] += np.float32((min(away, band) - distance[b, i]) * precision / total)
-            weight[b, i] = min(total, 200.0)
+            weight[b, i] = min(total, MAX_WEIGHT)
 
 
 @kernel
@@ -293,12 +320,12 @@ def fuse_color(numbers, start, stop, cells, reading, T_camera_object):
     T = T_camera_object
     for n in range(start, stop):
         b = numbers[n]
-        for i in range(512):
-            px = (coords[b, 0] * 8 + (i & 7) + 0.5) * voxel_size
-            py = (coords[b, 1] * 8 + ((i >> 3) & 7) + 0.5) * voxel_size
-            pz = (coords[b, 2] * 8 + (i >> 6) + 0.5) * voxel_size
+        for i in range(BLOCK_CELLS):
+            px = (coords[b, 0] * BLOCK_SIDE + (i & 7) + 0.5) * voxel_size
+            py = (coords[b, 1] * BLOCK_SIDE + ((i >> 3) & 7) + 0.5) * voxel_size
+            pz = (coords[b, 2] * BLOCK_SIDE + (i >> 6) + 0.5) * voxel_size
             z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-            if z <= 0.01:
+            if z <= MIN_Z_M:
                 continue
             x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
             y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
@@ -307,13 +334,13 @@ def fuse_color(numbers, start, stop, cells, reading, T_camera_object):
             if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0] or confidence[v, u] <= 0.0:
                 continue
             measured = np.float64(depth[v, u])
-            reach = max(2.0 * sensor_sigma(measured, sensor), 1.5 * voxel_size)
+            reach = max(COLOR_SIGMAS * sensor_sigma(measured, sensor), COLOR_CELLS * voxel_size)
             if measured <= 0.0 or abs(measured - z) > reach:
                 continue
             cx = E[0, 0] * x + E[0, 1] * y + E[0, 2] * z + E[0, 3]
             cy = E[1, 0] * x + E[1, 1] * y + E[1, 2] * z + E[1, 3]
             cz = E[2, 0] * x + E[2, 1] * y + E[2, 2] * z + E[2, 3]
-            if cz <= 0.01:
+            if cz <= MIN_Z_M:
                 continue
             gu, gv = project_point(cx, cy, cz, color_camera)
             full = levels[0].shape
@@ -327,4 +354,4 @@ def fuse_color(numbers, start, stop, cells, reading, T_camera_object):
             for c in range(3):
                 seen = sample_image(levels[level], (gu + 0.5) / scale - 0.5, (gv + 0.5) / scale - 0.5, c)
                 color[b, i, c] += np.float32((seen - color[b, i, c]) * gain / total)
-            weight[b, i] = min(total, 1e4)
+            weight[b, i] = min(total, MAX_COLOR_WEIGHT)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The exact Bayesian update of the cells along one ray, eq. (4)-(7)."""
+"""The exact Bayesian update of a cell on a ray, eq. (4)-(7)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ import numpy as np
 
 from threedvc.kernels import kernel
 
-__all__ = ["cell_update", "ray_update"]
+__all__ = ["MAX_SIDE", "MAX_WINDOW", "WINDOW_SIGMAS", "cell_update"]
 
 MAX_LOG_ODDS = 600.0
+"""More is as certain, and its exponential would leave the range of a double at 709."""
 MAX_BEFORE = 1e300
+"""Odds of having been stopped before, beyond which a cell is hidden whatever it is: just within a double."""
+WINDOW_SIGMAS = 3.0
+"""Deviations about a reading in which cells tell of it: 0.3 % of a Gaussian lie outside."""
+MAX_SIDE = 30.0
+"""Cells of a window before a cell, and behind it: enough while the deviation is below some five cells."""
+MAX_WINDOW = 2 * int(MAX_SIDE) + 1
+"""Room for a window and the cell itself."""
 
 
 @kernel
-def ray_update(log_odds, likelihood, none_likelihood, delta):
-    """Write how far the log-odds of every cell of a ray move.
+def cell_update(log_odds, likelihood, none_likelihood, n, cell):
+    """Return how far the log-odds of one cell of a ray move.
 
     The likelihood of eq. (6) marginalises over all configurations of the other cells, which matter
     only through their nearest occupied cell (eq. 7). With p the priors, T_i the probability that the
@@ -29,33 +37,13 @@ def ray_update(log_odds, likelihood, none_likelihood, delta):
     Parameters
     ----------
     log_odds
-        (n,) prior log-odds, nearest cell first.
+        (m,) prior log-odds, nearest cell first; the first `n` entries count.
     likelihood
-        (n,) p(r | the nearest occupied cell is i), any common scale.
+        (m,) p(r | the nearest occupied cell is i), any common scale.
     none_likelihood
         p(r | no cell is occupied), same scale.
-    delta
-        (n,) output.
-    """
-    n = log_odds.shape[0]
-    beyond = none_likelihood
-    for i in range(n - 1, -1, -1):
-        delta[i] = beyond
-        odds = np.exp(min(log_odds[i], MAX_LOG_ODDS))
-        beyond = (odds * likelihood[i] + beyond) / (1.0 + odds)
-    before = 0.0
-    for i in range(n):
-        after = delta[i]
-        delta[i] = np.log(before + likelihood[i]) - np.log(before + after)
-        odds = np.exp(min(log_odds[i], MAX_LOG_ODDS))
-        before = min(before * (1.0 + odds) + odds * likelihood[i], MAX_BEFORE)
-
-
-@kernel
-def cell_update(log_odds, likelihood, none_likelihood, n, cell):
-    """Return what `ray_update` writes for one cell, without the others.
-
-    `log_odds` and `likelihood` are (m,) scratch arrays of which the first `n` entries count.
+    n, cell
+        Number of cells, and which of them is asked for.
     """
     beyond = none_likelihood
     for i in range(n - 1, cell, -1):

@@ -3,21 +3,72 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from threedvc.kernels import kernel
-from threedvc.kernels.blocks import find_block, find_cell
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.arrays import Floats
+from threedvc.kernels import inlined, kernel
+from threedvc.kernels.blocks import BLOCK_CELLS, BLOCK_SIDE, MISSING_SUPER, SUPER_SIDE, find_block, find_cell
 from threedvc.kernels.render.raycast import RAY_NUDGE, ROUNDING, next_crossing
 from threedvc.units import LUMA_WEIGHTS
 
-__all__ = ["cast_evidence", "fill_between", "interpolate"]
+__all__ = ["EvidenceCells", "ViewRays", "cast_evidence", "fill_between", "interpolate"]
 
 RED, GREEN, BLUE = LUMA_WEIGHTS
 UNKNOWN = 1e9
+"""No signed distance is so large: something around is not known."""
+STEP = 0.7
+"""Part of the distance to the surface by which a ray goes on, as a signed distance along other rays may be too large;
+and cells by which it goes on where nothing is known."""
+MIN_STEP = 0.6
+"""Cells by which a ray goes on at least: noise near a surface must not hold it."""
+MAX_CHANGE = 2.5
+"""Cells by which the distance may fall from one place to the next: more is the rim of an occlusion, not a surface."""
+EXTRAPOLATION = 0.5
+"""How far beyond two places, in parts of the way between them, a surface may be looked for: distances are not exact."""
+NORMAL_REACH = 0.7
+"""Cells on either side over which a gradient is taken: so all cells around a point have a say."""
+MIN_SHARE = 1e-6
+"""Added to weights of colours, so that at a cell's centre the others do not weigh nothing at all."""
 MAX_DEPTH_STEP = 0.04
 MAX_BEND = 0.006
 MIN_COSINE = 0.9
-"""What four rays at the corners of a square may differ by if those between are interpolated."""
+"""What four rays at the corners of a square may differ by if those between are interpolated: parts of the depth, parts
+of the inverse depth that they are off a plane, twice what pictures forgive, and the cosine between normals, 26
+degrees."""
+
+
+class EvidenceCells(NamedTuple):
+    """Evidence of an object, one value a cell; `tables` is the index of the cells.
+
+    Attributes
+    ----------
+    voxel_size
+        Edge of a cell in metres.
+    tables
+        See `threedvc.kernels.blocks`.
+    distance, weight
+        (cells,) signed distances in metres and their weights, 0 = unknown.
+    color, color_weight
+        (cells, 3) RGB and (cells,) weights, 0 = unknown.
+    """
+
+    voxel_size: float
+    tables: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]
+    distance: Floats
+    weight: Floats
+    color: Floats
+    color_weight: Floats
+
+
+class ViewRays(NamedTuple):
+    """What rays met: (n,) depth in metres, (n, 3) unit normal in the camera, (n,) luma; 0 where nothing is known."""
+
+    depth: Floats
+    normal: Floats
+    intensity: Floats
 
 
 @kernel
@@ -77,8 +128,8 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
             bx, by, bz = cx >> 3, cy >> 3, cz >> 3
             block = find_block(bx, by, bz, root_origin, root, supers)
         if block < 0:
-            size = 64.0 if block == -2 else 8.0
-            shift = 6 if block == -2 else 3
+            size = float(SUPER_SIDE) if block == MISSING_SUPER else float(BLOCK_SIDE)
+            shift = 6 if block == MISSING_SUPER else 3
             leave = min(
                 next_crossing((ox + 0.5) / size, dx / size, cx >> shift),
                 next_crossing((oy + 0.5) / size, dy / size, cy >> shift),
@@ -87,10 +138,10 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
             t = max(leave, t) + nudge
             before = UNKNOWN
             continue
-        cell = np.int64(block) * 512 + (cx & 7) + 8 * (cy & 7) + 64 * (cz & 7)
+        cell = np.int64(block) * BLOCK_CELLS + (cx & 7) + 8 * (cy & 7) + 64 * (cz & 7)
         if weight[cell] <= 0.0:
             before = UNKNOWN
-            t += 0.7 / norm
+            t += STEP / norm
             continue
         here = np.float64(distance[cell])
         if here <= 0.0 and before < UNKNOWN and before > 0.0:
@@ -100,34 +151,71 @@ def march(ox, oy, oz, dx, dy, dz, t, t_far, voxel_size, tables, distance, weight
             exact_here = interpolate(x, y, z, tables, distance, weight)
             if exact_before < UNKNOWN and exact_here < UNKNOWN and exact_before > exact_here:
                 before, here = exact_before, exact_here
-            if before - here < 2.5 * voxel_size:
-                share = min(max(before / (before - here), -0.5), 1.5)
+            if before - here < MAX_CHANGE * voxel_size:
+                share = min(max(before / (before - here), -EXTRAPOLATION), 1.0 + EXTRAPOLATION)
                 return t_before + (t - t_before) * share
             return 0.0
         before, t_before = here, t
-        t += max(0.7 * abs(here) / voxel_size, 0.6) / norm
+        t += max(STEP * abs(here) / voxel_size, MIN_STEP) / norm
     return 0.0
 
 
+@inlined
+def facing_gradient(x, y, z, d, flat, tables, distance, weight, gradient):
+    """Set the gradient (3,) of the signed distance where a ray of direction `d` met the surface.
+
+    Return its length, 0 if too little is known or the surface faces away. See `cast_evidence` for `flat`.
+    """
+    known = True
+    for axis in range(3):
+        ex, ey, ez = NORMAL_REACH * (axis == 0), NORMAL_REACH * (axis == 1), NORMAL_REACH * (axis == 2)
+        ahead = interpolate(x + ex, y + ey, z + ez, tables, distance, weight)
+        behind = interpolate(x - ex, y - ey, z - ez, tables, distance, weight)
+        known = known and ahead < UNKNOWN and behind < UNKNOWN
+        gradient[axis] = ahead - behind
+    # Behind a surface seen at a flat angle little is known.
+    if not known and not (flat and slope_within(x, y, z, tables, distance, weight, gradient)):
+        return 0.0
+    facing = gradient[0] * d[0] + gradient[1] * d[1] + gradient[2] * d[2]
+    return 0.0 if facing >= 0.0 else np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+
+
+@inlined
+def luma_at(x, y, z, tables, color, color_weight):
+    """Interpolate the luma at (x, y, z), all cells around which are known; NaN where none of them has a colour."""
+    root_origin, root, supers = tables
+    total, luma = 0.0, 0.0
+    ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+    for corner in range(8):
+        ox, oy, oz = corner & 1, (corner >> 1) & 1, corner >> 2
+        cell = find_cell(ix + ox, iy + oy, iz + oz, root_origin, root, supers)
+        if color_weight[cell] > 0.0:
+            w = abs(1 - ox - (x - ix)) * abs(1 - oy - (y - iy)) * abs(1 - oz - (z - iz)) + MIN_SHARE
+            total += w
+            luma += w * (RED * color[cell, 0] + GREEN * color[cell, 1] + BLUE * color[cell, 2])
+    return luma / total if total > 0.0 else np.nan
+
+
 @kernel
-def cast_evidence(
-    rays, numbers, start, stop, T_cells_camera, tile_origin, tile_size, tile_near, tile_far, voxel_size, tables,
-    distance, weight, color, color_weight, flat, depth, normal, intensity,
-):  # fmt: skip
+def cast_evidence(rays, numbers, start, stop, T_cells_camera, tiles, cells, flat, view):
     """Cast the rays ``numbers[start:stop]`` into the evidence.
 
     Parameters
     ----------
     rays
         (n, 2) slopes; `T_cells_camera` (3, 4) leads to shifted cells, t is the depth in metres.
-    distance, weight, color, color_weight
-        Evidence, one value a cell.
+    tiles
+        See `threedvc.kernels.render.tiles.Tiles`.
+    cells
+        See `EvidenceCells`.
     flat
         Whether surfaces that are seen at a flat angle count, of which only the cells around are known.
-    depth, normal, intensity
-        (n,), (n, 3), (n,) float32 outputs: metres, unit normal in the camera, luma; 0 where nothing is known.
+    view
+        See `ViewRays`; written.
     """
-    root_origin, root, supers = tables
+    tile_origin, tile_size, tile_near, tile_far = tiles
+    voxel_size, tables, distance, weight, color, color_weight = cells
+    depth, normal, intensity = view
     T = T_cells_camera
     gradient = np.empty(3)
     for k in range(start, stop):
@@ -148,19 +236,8 @@ def cast_evidence(
         if t <= 0.0:
             continue
         x, y, z = T[0, 3] + t * dx, T[1, 3] + t * dy, T[2, 3] + t * dz
-        known = True
-        for axis in range(3):
-            ex, ey, ez = 0.7 * (axis == 0), 0.7 * (axis == 1), 0.7 * (axis == 2)
-            ahead = interpolate(x + ex, y + ey, z + ez, tables, distance, weight)
-            behind = interpolate(x - ex, y - ey, z - ez, tables, distance, weight)
-            known = known and ahead < UNKNOWN and behind < UNKNOWN
-            gradient[axis] = ahead - behind
-        # Behind a surface seen at a flat angle little is known.
-        if not known and not (flat and slope_within(x, y, z, tables, distance, weight, gradient)):
-            continue
-        length = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-        facing = gradient[0] * dx + gradient[1] * dy + gradient[2] * dz
-        if length <= 0.0 or facing >= 0.0:
+        length = facing_gradient(x, y, z, (dx, dy, dz), flat, tables, distance, weight, gradient)
+        if length <= 0.0:
             continue
         depth[r] = t
         scale = np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2)
@@ -168,16 +245,7 @@ def cast_evidence(
             normal[r, axis] = (T[0, axis] * gradient[0] + T[1, axis] * gradient[1] + T[2, axis] * gradient[2]) / (
                 length * scale
             )
-        total, luma = 0.0, 0.0
-        ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
-        for corner in range(8):
-            ox, oy, oz = corner & 1, (corner >> 1) & 1, corner >> 2
-            cell = find_cell(ix + ox, iy + oy, iz + oz, root_origin, root, supers)
-            if color_weight[cell] > 0.0:
-                w = abs(1 - ox - (x - ix)) * abs(1 - oy - (y - iy)) * abs(1 - oz - (z - iz)) + 1e-6
-                total += w
-                luma += w * (RED * color[cell, 0] + GREEN * color[cell, 1] + BLUE * color[cell, 2])
-        intensity[r] = luma / total if total > 0.0 else np.nan
+        intensity[r] = luma_at(x, y, z, tables, color, color_weight)
 
 
 @kernel

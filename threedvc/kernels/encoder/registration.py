@@ -7,6 +7,8 @@ samples are fixed, whatever thread works on them, so sums do not depend on the n
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,7 @@ __all__ = [
     "ROW",
     "UNKNOWNS",
     "UNSEEN",
+    "ViewPictures",
     "accumulate_agreement",
     "accumulate_normal_equations",
     "associate",
@@ -32,10 +35,39 @@ __all__ = [
 UNSEEN = 0
 BEHIND = 1
 FITTING = 2
+"""States of a sample, see `associate`."""
 UNKNOWNS = 8
+"""Rotation, translation, gain and offset of luma."""
 ROW = 11
+"""Numbers that `associate` writes for a sample."""
 LUMA_CENTER = 128.0
+"""Level that gains leave as it is: in the middle of the range gain and offset hardly stand in for each other."""
 SAME_RAY = 0.02
+"""Slopes by which a point and the pixel that it falls on may differ: half a pixel of any camera is far less, and
+where a distortion polynomial folds back it is far more."""
+MIN_KNOWN = 3
+"""Pixels of four that must be known for their mean: fewer lie too far to one side."""
+
+
+class ViewPictures(NamedTuple):
+    """A model's view, which samples of a frame are associated with.
+
+    Attributes
+    ----------
+    depth, normals
+        (h, w) metres, 0 = unknown, and (h, w, 3).
+    luma, scale
+        Luma of the view, shrunk by `scale`.
+    rays, camera
+        (h, w, 2) slopes and (9,) parameters of the camera.
+    """
+
+    depth: Floats
+    normals: Floats
+    luma: Floats
+    scale: float
+    rays: Doubles
+    camera: Doubles
 
 
 @kernel
@@ -137,7 +169,7 @@ def halve_luma(luma: Floats, halved: Floats, start: int, stop: int) -> None:
                     if value == value:
                         total += value
                         known += 1
-            halved[row, column] = total / known if known >= 3 else np.nan
+            halved[row, column] = total / known if known >= MIN_KNOWN else np.nan
 
 
 @kernel
@@ -181,13 +213,8 @@ def associate(
     samples: Doubles,
     lumas: Doubles,
     sigmas: Doubles,
-    view_depth: Floats,
-    view_normals: Floats,
-    view_luma: Floats,
-    rays: Doubles,
-    camera: Doubles,
+    view: ViewPictures,
     T_view_frame: Doubles,
-    scale: float,
     gates: Doubles,
     rows: Doubles,
     states: NDArray[np.uint8],
@@ -200,10 +227,8 @@ def associate(
     ----------
     samples, lumas, sigmas
         (n, 8) of `sample_frame`, (n,) luma at this level and (n,) depth noise in metres.
-    view_depth, view_normals, view_luma
-        The view: (h, w) metres, (h, w, 3), and luma shrunk by `scale`.
-    rays, camera
-        (h, w, 2) slopes and (9,) parameters of the camera.
+    view
+        See `ViewPictures`.
     T_view_frame
         (4, 4), ``q = T_view_frame @ p``.
     gates
@@ -214,6 +239,7 @@ def associate(
     states
         (n,) out: `UNSEEN` (nothing known there), `BEHIND` (another surface there) or `FITTING`.
     """
+    view_depth, view_normals, view_luma, scale, rays, camera = view
     height, width = view_depth.shape
     for i in range(start, stop):
         states[i] = UNSEEN

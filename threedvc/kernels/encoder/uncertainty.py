@@ -6,8 +6,12 @@ from __future__ import annotations
 import numpy as np
 
 from threedvc.kernels import kernel
+from threedvc.kernels.blocks import BLOCK_CELLS
 
 __all__ = ["block_entropies"]
+
+MAX_CHANNEL_BITS = 8.0
+"""Entropy of a channel of 256 levels of which nothing is known."""
 
 
 @kernel
@@ -22,12 +26,14 @@ def block_entropies(numbers, start, stop, log_odds, color_weight, one_look, spre
     for n in range(start, stop):
         b = numbers[n]
         total = 0.0
-        for i in range(512):
+        for i in range(BLOCK_CELLS):
             odds = abs(np.float64(log_odds[b, i]))
             tail = np.exp(-odds)
             total += (np.log1p(tail) + odds * tail / (1.0 + tail)) / np.log(2.0)
             occupied = 1.0 / (1.0 + np.exp(-np.float64(log_odds[b, i])))
             weight = np.float64(color_weight[b, i])
-            channel = 8.0 if weight <= 0.0 else min(max(0.5 * np.log2(scale / weight), 0.0), 8.0)
+            channel = MAX_CHANNEL_BITS
+            if weight > 0.0:
+                channel = min(max(0.5 * np.log2(scale / weight), 0.0), MAX_CHANNEL_BITS)
             total += occupied * 3.0 * channel
         entropies[b] = total

@@ -14,6 +14,9 @@ from threedvc.kernels import kernel
 
 __all__ = ["magnify"]
 
+MAX_SAMPLE = 255
+"""Greatest value of a sample of eight bits."""
+
 
 @kernel
 def cubic_weights(f: float, weights: NDArray[np.float64]) -> None:
@@ -50,7 +53,7 @@ def magnify(
             u = (x + 0.5) * columns / width - 0.5
             j = np.int64(np.floor(u))
             cubic_weights(u - j, across)
-            total, least, greatest = 0.0, 255, 0
+            total, least, greatest = 0.0, MAX_SAMPLE, 0
             for a in range(4):
                 row = min(max(i - 1 + a, 0), rows - 1)
                 along = 0.0
@@ -63,6 +66,6 @@ def magnify(
             if levels[greatest] > edge * levels[least] and levels[least] <= there <= levels[greatest]:
                 shown[y, x] = there
                 continue
-            total = min(max(total, 0.0), 255.0)
-            k = min(np.int64(np.floor(total)), 254)
+            total = min(max(total, 0.0), float(MAX_SAMPLE))
+            k = min(np.int64(np.floor(total)), MAX_SAMPLE - 1)
             shown[y, x] = levels[k] + (total - k) * (levels[k + 1] - levels[k])

@@ -9,6 +9,9 @@ from threedvc.kernels import kernel
 
 __all__ = ["pull", "push"]
 
+NEAR, FAR = np.float32(0.75), np.float32(0.25)
+"""Weights of the nearer and the further of two samples of half the size in bilinear interpolation."""
+
 
 @kernel
 def pull(value, known, coarse, coarse_known):
@@ -43,6 +46,6 @@ def push(value, known, coarse):
             k = min(max(i + (1 if y & 1 else -1), 0), rows - 1)
             m = min(max(j + (1 if x & 1 else -1), 0), columns - 1)
             for c in range(3):
-                beside = np.float32(0.75) * coarse[i, j, c] + np.float32(0.25) * coarse[i, m, c]
-                beyond = np.float32(0.75) * coarse[k, j, c] + np.float32(0.25) * coarse[k, m, c]
-                value[y, x, c] = np.float32(0.75) * beside + np.float32(0.25) * beyond
+                beside = NEAR * coarse[i, j, c] + FAR * coarse[i, m, c]
+                beyond = NEAR * coarse[k, j, c] + FAR * coarse[k, m, c]
+                value[y, x, c] = NEAR * beside + FAR * beyond

@@ -15,8 +15,12 @@ __all__ = ["MARGIN", "OFFSETS", "add_filter_equations", "filter_rows"]
 
 OFFSETS = np.array([(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)], dtype=np.int64)
 """(6, 2) row and column of one pixel of each pair; the other lies opposite."""
-MARGIN = 2
+MARGIN = int(np.abs(OFFSETS).max())
+"""Pixels that the pairs reach beyond the border."""
 UNIT = np.float32(1 / 256)
+"""Of what pairs add: factors are in 1/64, and luma is a quarter of R + 2 G + B."""
+HALF = np.float32(128)
+"""Half a level in these units, for rounding."""
 
 
 @kernel
@@ -58,7 +62,7 @@ def filter_rows(
                     add_pair(planes, y, OFFSETS[pair, 0], OFFSETS[pair, 1], first, last, 4 * c, more, change)
             for channel in range(3):
                 for x in range(first, last):
-                    step = np.floor((change[channel, x] + np.float32(128)) * UNIT)
+                    step = np.floor((change[channel, x] + HALF) * UNIT)
                     value = planes[channel, y + MARGIN, x + MARGIN] + step
                     result[y, x, channel] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
             first = last

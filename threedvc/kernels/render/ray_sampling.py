@@ -11,8 +11,13 @@ from threedvc.kernels import kernel
 __all__ = ["interpolate_between", "interpolate_centers", "interpolate_diamonds"]
 
 MAX_DEPTH_STEP = 0.04
+"""Part of the depth by which four rays on one surface may differ. As the next two, every reader must use it."""
 MAX_BEND = 0.003
+"""Part of the inverse depth by which the four may be off a plane. Measured: with 0.8 % pictures take 0 to 3 ms less of
+70 to 90, and lose .001 to .005 of the depth within 1 % (decision 0006)."""
 MAX_PAIR_STEP = 0.005
+"""Part of the depth by which two neighbours in the last step may differ. Measured: with pairs 13.7 instead of 15.1 % of
+the rays are cast on the kitchen, at the same quality (decision 0006)."""
 
 
 @kernel

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
@@ -11,6 +14,7 @@ from threedvc.kernels.blocks import find_cell
 __all__ = [
     "LIGHT_TERMS",
     "MIN_WEIGHT",
+    "SurfaceCells",
     "find_normals",
     "interpolation",
     "light_bases",
@@ -22,8 +26,30 @@ __all__ = [
 ]
 
 MIN_WEIGHT = 1e-9
+"""Added to weights, so that at a cell's centre the others do not weigh nothing at all. As the next two, every reader
+must use it."""
 LIGHT_TERMS = 8
+"""Linear and quadratic terms of a direction, the constant being the colour itself."""
 MIN_LIGHT = 0.05
+"""Factor of colours at least, so that a fit's undershoot makes nothing black, or negative."""
+
+
+class SurfaceCells(NamedTuple):
+    """Cells of an object, and the surface in them.
+
+    Attributes
+    ----------
+    tables
+        Index of the cells, see `threedvc.kernels.blocks`.
+    occupied
+        (cells,) uint8.
+    planes
+        (cells, 4) int8 of `threedvc.kernels.render.render_blocks.fit_plane`.
+    """
+
+    tables: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]
+    occupied: NDArray[np.uint8]
+    planes: NDArray[np.int8]
 
 
 @kernel
@@ -226,9 +252,7 @@ def light_bases(normals, terms):
 
 
 @kernel
-def relight(
-    start, stop, slopes, depth, labels, label, T_cells_camera, R_world_object, light, tables, occupied, planes, color
-):
+def relight(start, stop, slopes, depth, labels, label, T_cells_camera, R_world_object, light, cells, color):
     """Multiply the colours of rays ``start..stop`` that met an object by the light on its surface there.
 
     Parameters
@@ -241,9 +265,10 @@ def relight(
         (3, 3) turn of the object in the world, where the light stands still.
     light
         (8,) factors of the terms of `light_basis`; none of them: 1 everywhere.
-    tables, occupied, planes
-        See `normal_at`.
+    cells
+        See `SurfaceCells`.
     """
+    tables, occupied, planes = cells
     T, R = T_cells_camera, R_world_object
     positions, weights = np.empty(8, dtype=np.int64), np.empty(8)
     normal, terms = np.empty(3), np.empty(LIGHT_TERMS)

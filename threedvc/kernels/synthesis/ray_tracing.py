@@ -22,10 +22,14 @@ from threedvc.kernels.synthesis.textures import pattern_color
 
 __all__ = ["TILE", "mark_hidden", "trace_color", "trace_depth"]
 
-
 TILE = 8
+"""Pixels along a side of a tile, whose parts are selected at once: few beside 64 rays, and still narrow."""
 NEAREST_T = 1e-9
+"""Depth in metres up to which a hit is the camera itself."""
 SHADOW_T = 1e-6
+"""Part of the way to a light up to which a hit is the surface itself, by rounding."""
+ROUNDING = 1e-9
+"""By how much of its radius a bounding sphere is widened, so that rounding leaves no part out."""
 
 
 @kernel
@@ -85,7 +89,7 @@ def select_parts(bounds: NDArray[np.float64], rays: NDArray[np.float64], selecte
         along = x * c[0] + y * c[1] + z * c[2]
         distance = x * x + y * y + z * z
         aside = math.sqrt(max(distance - along * along, 0.0))
-        if aside - wide * math.sqrt(distance) <= bounds[i, 3] * (1.0 + 1e-9):
+        if aside - wide * math.sqrt(distance) <= bounds[i, 3] * (1.0 + ROUNDING):
             selected[count] = i
             count += 1
     return count

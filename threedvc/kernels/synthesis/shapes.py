@@ -14,6 +14,9 @@ from threedvc.kernels.synthesis.parts import BOX, CAPSULE, ELLIPSOID, FRUSTUM, R
 __all__ = ["hit_distance", "surface"]
 
 BISECTIONS = 60
+"""Halvings of an interval: more than the 53 bits of a double."""
+WIDER = 1.001
+"""By how much the square of a torus's bound is widened, so that the quartic is surely positive at its ends."""
 
 
 @kernel
@@ -156,8 +159,7 @@ def hit_torus(o: Vector, d: Vector, size: Any, near: float) -> float:
     start = -(o[0] * x + o[1] * y + o[2] * z)
     cx, cy, cz = o[0] + start * x, o[1] + start * y, o[2] + start * z
     square = cx * cx + cy * cy + cz * cz
-    # The bound is a little wide, so that the quartic is surely positive at its ends.
-    reach = 1.001 * (size[0] + size[1]) ** 2 - square
+    reach = WIDER * (size[0] + size[1]) ** 2 - square
     if reach < 0.0:
         return np.inf
     reach = math.sqrt(reach)

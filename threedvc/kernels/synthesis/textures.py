@@ -15,7 +15,11 @@ from threedvc.kernels.synthesis.parts import CHECKER, MARBLE, NOISE, PATCHES, PI
 __all__ = ["pattern_color"]
 
 OCTAVES = 3
+"""Octaves of noise, the last a quarter as wide as the first."""
 GRAIN = 35.0
+"""Periods of the grain per metre: they are 3 cm wide."""
+GRAIN_SEED = 17
+"""Added to a part's seed, so that its grain is not its pattern."""
 
 
 @kernel
@@ -81,6 +85,7 @@ def pattern_mix(part: Any, x: float, y: float, z: float, u: float, v: float) -> 
     x, y, z = x / scale[0], y / scale[0], z / scale[0]
     if pattern == NOISE:
         return fractal_noise(x, y, z, seed)
+    # How often veins and rings come, and how sharp patches are, is a matter of looks.
     if pattern == MARBLE:
         return 0.5 + 0.5 * math.sin(2.0 * (x + y + z) + 9.0 * fractal_noise(x, y, z, seed))
     if pattern == WOOD:
@@ -105,6 +110,6 @@ def pattern_color(part: Any, texels: NDArray[np.uint8], x: float, y: float, z: f
         blue = colors[0, 2] + mix * (colors[1, 2] - colors[0, 2])
     grain = part["grain"]
     if grain > 0.0:
-        shade = 1.0 + grain * (fractal_noise(GRAIN * x, GRAIN * y, GRAIN * z, part["seed"] + 17) - 0.5)
+        shade = 1.0 + grain * (fractal_noise(GRAIN * x, GRAIN * y, GRAIN * z, part["seed"] + GRAIN_SEED) - 0.5)
         red, green, blue = red * shade, green * shade, blue * shade
     return red, green, blue

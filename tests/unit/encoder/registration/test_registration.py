@@ -56,6 +56,11 @@ def problem(
     return RegistrationProblem(sample=sample_of(seen, mask), view=view, sigma_m=noise, config=config)
 
 
+def view_pictures(view: ModelView, camera: Camera) -> kernels.ViewPictures:
+    """Return a view as the kernels take it, at full size."""
+    return kernels.ViewPictures(view.depth, view.normals, view.intensity, 1.0, camera.rays(), camera.parameters())
+
+
 def run(
     seen: ModelView, view: ModelView, guess: Pose, mask: NDArray[np.bool_] | None = None, **options: Any
 ) -> Registration:
@@ -444,10 +449,10 @@ class TestKernels:
         samples, gates = alignment.samples[0], np.array([0.05, 6.0, 0.7])
         rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
         T_view_frame = inverse(MOTION) @ moved((0, 0.01, 0), (0.01, 0, 0))
+        pictures = view_pictures(view, camera)
         kernels.associate(
-            samples.surface, samples.luma, samples.sigma, view.depth, view.normals, view.intensity, camera.rays(),
-            camera.parameters(), T_view_frame, 1.0, gates, rows, states, 0, len(samples),
-        )  # fmt: skip
+            samples.surface, samples.luma, samples.sigma, pictures, T_view_frame, gates, rows, states, 0, len(samples)
+        )
         expected = [
             reference.associated(sample, sigma, view, T_view_frame, gates)
             for sample, sigma in zip(samples.surface, samples.sigma, strict=True)
@@ -463,10 +468,10 @@ class TestKernels:
 
         def rows_at(pose: Pose) -> NDArray[np.float64]:
             rows, states = np.empty((len(samples), kernels.ROW)), np.empty(len(samples), dtype=np.uint8)
+            pictures, gates = view_pictures(view, LENS), np.array([0.1, 6.0, 0.0])
             kernels.associate(
-                samples.surface, samples.luma, samples.sigma, view.depth, view.normals, view.intensity, LENS.rays(),
-                LENS.parameters(), pose, 1.0, np.array([0.1, 6.0, 0.0]), rows, states, 0, len(samples),
-            )  # fmt: skip
+                samples.surface, samples.luma, samples.sigma, pictures, pose, gates, rows, states, 0, len(samples)
+            )
             return rows
 
         base = moved((0, 0, 0), (0.004, 0.003, 0.0))

@@ -11,7 +11,7 @@ import pytest
 
 from helpers.container_streams import batch, end, packets, records, small_stream, stream_of
 from threedvc.errors import BadMagic, CorruptStream, FormatError, LimitExceeded, TruncatedStream
-from threedvc.formats.container import IndexEntry, StreamIndex, index, read_index
+from threedvc.formats.container import IndexEntry, index, read_index
 from threedvc.formats.container.index import pack_index, unpack_index
 
 ENTRIES = (
@@ -34,15 +34,6 @@ def test_damaged_payloads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(index, "MAX_INDEX_ENTRIES", 3)
     with pytest.raises(LimitExceeded, match="an INDEX holds more than 3 entries"):
         unpack_index(pack_index(ENTRIES))
-
-
-def test_lookup() -> None:
-    table = StreamIndex(ENTRIES)
-    assert [table.entry_of(frame) for frame in (0, 29, 30, 59, 1000)] == [ENTRIES[place] for place in (1, 1, 2, 2, 3)]
-    assert table.start_for(59) == ENTRIES[0]
-    assert table.start_for(60) == ENTRIES[3]
-    assert StreamIndex(ENTRIES[2:]).entry_of(29) is None
-    assert StreamIndex(ENTRIES[1:3]).start_for(1000) is None
 
 
 def test_offsets_lead_to_the_batches() -> None:

@@ -21,7 +21,7 @@ from threedvc.encoder.segmentation.motion.morphology import grown, square
 from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
-from threedvc.kernels.encoder.free_space import count_sights, measure_misfits
+from threedvc.kernels.encoder.free_space import OtherFrames, count_free_space_votes, measure_misfits
 from threedvc.parallel import for_ranges
 
 __all__ = ["DepthHistory", "FreeSpaceVotes"]
@@ -143,13 +143,11 @@ class DepthHistory:
         slots = np.array([self._slots[k] for k, _ in asked])
         still = np.array([np.array_equal(at, pose) for _, at in asked])
         margins = self._margins(depth, T, slots, still, whole)
-        rays, parameters = camera_rays(self._camera), camera_parameters(self._camera)
+        rays, others = camera_rays(self._camera), self._others(T, slots)
 
         def ask(some: Mask) -> None:
             def work(start: int, stop: int) -> None:
-                count_sights(
-                    depth, rays, some, T, self._pictures, slots, UNIT_M, parameters, margins, *votes, start, stop
-                )
+                count_free_space_votes(depth, rays, some, others, margins, *votes, start, stop)
 
             for_ranges(work, len(depth), self._threads)
 
@@ -162,8 +160,11 @@ class DepthHistory:
         ask(mask & grown(votes.through > 0, 2) & ~first)
         return votes
 
+    def _others(self, T: Doubles, slots: NDArray[np.int64]) -> OtherFrames:
+        return OtherFrames(T, self._pictures, slots, UNIT_M, camera_parameters(self._camera))
+
     def _margins(self, depth: Floats, T: Doubles, slots: NDArray[np.int64], still: Mask, whole: bool) -> Doubles:
-        """Return the margins (n, 3) of `count_sights` for frames before a camera that stands still or not."""
+        """Return the margins (n, 3) of the votes for frames before a camera that stands still or not."""
         s = self._sensor
         margins = np.tile(
             MARGIN_SIGMAS * np.array([s.s0_m, s.s1, s.s2_per_m + s.quantum_per_m / np.sqrt(12)]), (len(T), 1)
@@ -182,10 +183,10 @@ class DepthHistory:
         z = small[known].astype(np.float64)
         rays = camera_rays(self._camera)[::MISFIT_STRIDE, ::MISFIT_STRIDE][known]
         points = np.column_stack([rays * z[:, None], z])
-        residuals, parameters = np.empty((len(T), len(points))), camera_parameters(self._camera)
+        residuals, others = np.empty((len(T), len(points))), self._others(T, slots)
 
         def work(start: int, stop: int) -> None:
-            measure_misfits(points, T, self._pictures, slots, UNIT_M, parameters, residuals, start, stop)
+            measure_misfits(points, others, residuals, start, stop)
 
         for_ranges(work, len(T), self._threads)
         shared = [row[np.isfinite(row)] for row in residuals]
