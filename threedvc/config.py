@@ -36,8 +36,7 @@ MIN_VOXEL_SIZE_M = 0.0005
 MAX_VOXEL_SIZE_M = 1.0
 """More is a slip of the unit: of a room few cells would be left."""
 MIN_STEP, MAX_STEP = 0.5, 255.0
-"""Grey levels: half of one, which rounding to levels hides, and the largest that a stream can tell (4080
-sixteenths)."""
+"""Grey levels: half of one, which rounding hides, and the largest that a stream can tell (4080 sixteenths)."""
 MAX_FOCUS = 100.0
 """Steps are divided by its root: ten times as fine as the default is about a level."""
 MAX_OBJECT = 255
@@ -45,8 +44,7 @@ MAX_OBJECT = 255
 MAX_CANDIDATES = 100_000
 """More is a slip: each view is judged by thousands of rays."""
 MIN_BPS = 500
-"""With less, ten seconds would not even hold what a file takes besides surfaces and frames
-(`rate_control.HEAD_BYTES`)."""
+"""With less, ten seconds would not hold what a file takes besides surfaces (`rate_control.HEAD_BYTES`)."""
 MIN_LIVE_BPS = 8000
 """A kilobyte a second, of which 30 frames without surfaces take some 270 bytes (`rate_control.FRAME_BYTES`)."""
 MIDDLE_QUALITY = 50
@@ -424,8 +422,7 @@ class ExplorationConfig:
     Attributes
     ----------
     candidates
-        Views to choose from, of each object that is explored; the time goes with their number (decision 0015 ranks as
-        many).
+        Views of each explored object to choose from (decision 0015 ranks as many); the time goes with their number.
     best
         How many to propose: enough to choose another one where the first cannot be reached.
     sensor
