@@ -52,7 +52,7 @@ def updated(
 
 def some_cells(n: int, around: int) -> NDArray[np.int64]:
     """Return cells all along a ray of n, and all those near one."""
-    return np.unique(np.concatenate([np.arange(0, n, 997), np.arange(around - 20, min(around + 20, n)), [n - 1]]))
+    return np.unique(np.concatenate([np.arange(0, n, 9973), np.arange(around - 6, min(around + 6, n)), [n - 1]]))
 
 
 def reading_at(cell: int, n: int, outlier: float = 0.02) -> Floats:
