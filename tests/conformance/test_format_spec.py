@@ -22,7 +22,7 @@ from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
 from threedvc.stream.batch import pack_batch
 from threedvc.stream.header_fields import FieldType
-from threedvc.stream.header_types import BATCH_TYPES, HEADER_TYPES
+from threedvc.stream.header_reader import BATCH_TYPES, HEADER_TYPES
 from threedvc.stream.headers import BatchHeader, EndHeader, Header, ObjectHeader, PoseHeader
 from threedvc.stream.packets import RESERVED_TYPES, TOP_LEVEL_TYPES, PacketFlag, PacketType, is_understood
 from threedvc.stream.wire import DIGEST_BYTES, pack_varint

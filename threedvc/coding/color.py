@@ -29,8 +29,8 @@ from threedvc.kernels.coding.color_transform import (
     sum_children,
     to_luma_chroma,
 )
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 from threedvc.kernels.coding.octree import BIT_COUNTS
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 
 __all__ = ["MAX_STEP", "MIN_STEP", "ColorSettings", "code_cell_colors"]
 

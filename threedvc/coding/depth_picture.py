@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.kernels.coding.depth_picture import DEPTH_COUNTERS, MAX_SAMPLE, DepthSamples, code_depths
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 from threedvc.limits import MAX_DEPTH_SAMPLES
 
 __all__ = [

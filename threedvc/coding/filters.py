@@ -7,7 +7,7 @@ import numpy as np
 
 from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 from threedvc.model.post_filter import PAIRS, PIXEL_CLASSES, PostFilter
 
 __all__ = ["MAX_FACTOR", "decode_filter", "encode_filter"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 
 __all__ = ["NEUTRAL", "GainCoder", "apply_gain", "quantised_gain"]
 

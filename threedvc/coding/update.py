@@ -12,8 +12,8 @@ from threedvc.coding.geometry import code_new_cells, code_subset
 from threedvc.coding.morton import MAX_COORDINATE, Cube, cells_of_codes, morton_codes, morton_order
 from threedvc.coding.octree import Octree
 from threedvc.errors import CorruptStream, LimitExceeded
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
 from threedvc.kernels.coding.octree import COORDINATE_BITS
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 from threedvc.model.model_update import ModelUpdate
 
 __all__ = ["decode_update", "encode_update_with_result"]

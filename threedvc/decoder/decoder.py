@@ -19,7 +19,7 @@ from threedvc.limits import MAX_COUNT
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.stream.batch import read_batch
 from threedvc.stream.frame_report import StreamReport
-from threedvc.stream.header_types import BATCH_TYPES
+from threedvc.stream.header_reader import BATCH_TYPES
 from threedvc.stream.headers import BatchHeader, EndHeader, SensorHeader, StreamHeader, check_supported
 from threedvc.stream.input_options import InputOptions
 from threedvc.stream.packets import Packet, PacketType, type_name

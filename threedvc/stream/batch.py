@@ -12,7 +12,7 @@ from threedvc.limits import (
     MAX_HEADER_BYTES,
     MAX_PAYLOAD_BYTES,
 )
-from threedvc.stream.header_types import read_header
+from threedvc.stream.header_reader import read_header
 from threedvc.stream.headers import BatchHeader, Header
 from threedvc.stream.packets import TOP_LEVEL_TYPES, Packet, PacketFlag, is_understood, type_name
 from threedvc.stream.wire import ByteReader, pack_map, pack_varint, unpack_map

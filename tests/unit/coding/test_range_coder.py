@@ -9,8 +9,8 @@ import pytest
 from reference.coding import ExactCoder, ExactCounter, write_number
 from threedvc.coding.entropy.range_coder import RangeReader, RangeWriter, new_counters
 from threedvc.errors import CorruptStream
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS, adapt_counter, code_bit, counter_probability
 from threedvc.kernels.coding.mixing import INPUT_LIMIT, SQUASH_TABLE, STRETCH_TABLE
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS, adapt_counter, code_bit, counter_probability
 
 
 @pytest.mark.parametrize("skew", [0.5, 0.02, 0.999])

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.kernels.coding.entropy import COUNTER_START
 from threedvc.kernels.coding.mixing import Mixer
+from threedvc.kernels.coding.range_coder import COUNTER_START
 
 __all__ = ["new_mixer"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.errors import CorruptStream
-from threedvc.kernels.coding.entropy import (
+from threedvc.kernels.coding.range_coder import (
     CODER_SIZE,
     COUNTER_START,
     EVEN,

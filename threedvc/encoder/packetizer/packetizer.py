@@ -56,7 +56,7 @@ class Packetizer:
         The scene; a live encoder adds frames to it between batches.
     config
         Choices.
-    finished
+    fitted
         Colours and gains fitted to the pictures; None: the mean colours of the evidence, and no gains.
     background
         How the stream shows the background, see `threedvc.encoder.packetizer.background_choice`.

@@ -15,7 +15,7 @@ from threedvc.encoder.appearance.appearance_fit import align_pictures, align_pos
 from threedvc.encoder.appearance.rate_distortion import rate_distortion_at
 from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.budget import surface_budget
-from threedvc.encoder.pipeline.cell_choice import (
+from threedvc.encoder.pipeline.cell_size_trials import (
     surface_bytes,
     with_affordable_cells,
     with_best_cells,

@@ -18,8 +18,8 @@ from threedvc.arrays import Doubles
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.registration.alignment import Alignment
 from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.icp import Alignment
 from threedvc.encoder.registration.initial_poses import register_multi_start
 from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.encoder.registration.registration import RegistrationConfig, RegistrationProblem

@@ -17,8 +17,8 @@ import numpy as np
 
 from threedvc.encoder.reconstruction.pose_graph import Link, optimised
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.encoder.registration.alignment import Alignment
 from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
+from threedvc.encoder.registration.icp import Alignment
 from threedvc.encoder.registration.initial_poses import register_multi_start
 from threedvc.encoder.registration.registration import (
     DepthSample,

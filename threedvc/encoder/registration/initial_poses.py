@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from threedvc.arrays import Doubles, Floats, Mask
-from threedvc.encoder.registration.alignment import Alignment
 from threedvc.encoder.registration.feature_matching import Descriptors, detect_features, match_features
+from threedvc.encoder.registration.icp import Alignment
 from threedvc.encoder.registration.registration_types import (
     DepthSample,
     ModelView,

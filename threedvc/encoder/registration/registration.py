@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threedvc.encoder.registration.alignment import Alignment
 from threedvc.encoder.registration.frame_samples import MAX_JUMP, normal_reach
+from threedvc.encoder.registration.icp import Alignment
 from threedvc.encoder.registration.registration_types import (
     DepthSample,
     ModelView,

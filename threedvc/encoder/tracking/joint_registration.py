@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
-from threedvc.encoder.registration.alignment import Alignment
 from threedvc.encoder.registration.frame_resolutions import ObjectView
+from threedvc.encoder.registration.icp import Alignment
 from threedvc.encoder.registration.initial_poses import register_multi_start
 from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.encoder.registration.registration import (

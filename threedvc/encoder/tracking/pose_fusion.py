@@ -32,7 +32,7 @@ class PoseEstimate(NamedTuple):
         Pose of the object in the view that it was registered with.
     information
         (6, 6) inverse covariance of a small motion (turn, shift) of the frame in the view's camera, see
-        `threedvc.encoder.registration.alignment.Alignment.information`.
+        `threedvc.encoder.registration.icp.Alignment.information`.
     """
 
     T_rig_object: Pose

@@ -24,8 +24,8 @@ from threedvc.kernels.coding.color_transform import (
     step_of_pair,
     store_children,
 )
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS, READING, Coder, code_adaptive_bit, code_number, overrun
 from threedvc.kernels.coding.mixing import UNIT_INPUT, Mixer, code_mixed_bit, hash_pair, mixed_log_odds, squash
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS, READING, Coder, code_adaptive_bit, code_number, overrun
 
 __all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "SIGN_COUNTERS", "Quantiser", "code_colors"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
-from threedvc.kernels.coding.entropy import (
+from threedvc.kernels.coding.range_coder import (
     NUMBER_COUNTERS,
     READING,
     Coder,

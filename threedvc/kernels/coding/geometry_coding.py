@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
-from threedvc.kernels.coding.entropy import Coder, overrun
 from threedvc.kernels.coding.geometry_prior import (
     CHILD_PLACE,
     FEATURES,
@@ -24,6 +23,7 @@ from threedvc.kernels.coding.geometry_prior import (
 )
 from threedvc.kernels.coding.mixing import UNIT_INPUT, Mixer, code_mixed_bit, hash_pair, mixed_log_odds
 from threedvc.kernels.coding.octree import BIT_COUNTS
+from threedvc.kernels.coding.range_coder import Coder, overrun
 
 __all__ = ["GEOMETRY_MODELS", "GEOMETRY_SETS", "GEOMETRY_WEIGHT_ROWS", "code_masks"]
 

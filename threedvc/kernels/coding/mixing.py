@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
-from threedvc.kernels.coding.entropy import Coder, adapt_counter, clamp_probability, code_bit
+from threedvc.kernels.coding.range_coder import Coder, adapt_counter, clamp_probability, code_bit
 
 __all__ = [
     "INPUT_LIMIT",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS, Coder, code_adaptive_bit, code_signed, overrun
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS, Coder, code_adaptive_bit, code_signed, overrun
 
 __all__ = [
     "MAGNITUDE_BINS",

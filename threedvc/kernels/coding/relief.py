@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from threedvc.kernels import kernel
 from threedvc.kernels.blocks import find_cell
-from threedvc.kernels.coding.entropy import (
+from threedvc.kernels.coding.range_coder import (
     READING,
     Coder,
     clamp_probability,

@@ -21,7 +21,7 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.errors import CorruptStream
 from threedvc.formats.decoding import decode
 from threedvc.formats.encoding import encode
-from threedvc.kernels.coding.entropy import NUMBER_COUNTERS
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 from threedvc.kernels.render.picture_filter import OFFSETS
 from threedvc.model.post_filter import PAIRS, PIXEL_CLASSES, PostFilter, classify_pixels
 from threedvc.stream.batch import pack_batch, unpack_batch

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from reference import registration as reference
 from reference.registration import ROOM, WALL, Box, Planes, Sphere, draw
-from threedvc.encoder.registration.alignment import Alignment
+from threedvc.encoder.registration.icp import Alignment
 from threedvc.encoder.registration.initial_poses import initial_poses, pose_from_features, predict, register_multi_start
 from threedvc.encoder.registration.registration import (
     DepthSample,
