@@ -54,11 +54,11 @@ from threedvc.units import MILLIMETRES
 __all__ = ["Measurement", "compare", "main", "measure"]
 
 BASELINE = Path(__file__).with_name("ci_baseline.json")
-SIZE, FRAMES = (160, 120), 12
+SIZE, FRAMES = (160, 120), 8
 """Small enough to run with each change."""
 VOXEL_SIZE_M = 0.03
 """Fixed, so that a change of how cells are chosen does not pass for a change of speed."""
-ROUNDS = 5
+ROUNDS = 4
 """Turns of stage and yardstick; the least of each is what it takes undisturbed."""
 MAX_SLOWER, MAX_LARGER = 1.25, 1.02
 """Times the baseline: beyond what the yardstick leaves of the noise of a shared machine, and a change of size that
