@@ -20,8 +20,8 @@ __all__ = [
     "VIDEO_FRAMING_BYTES",
 ]
 
-FILE_HEAD_BYTES: Final = 11
-"""Magic and version."""
+FILE_HEAD_BYTES: Final = 12
+"""Magic, 9 bytes, version, 2, and one that is zero."""
 PACKET_FRAMING_BYTES: Final = 28
 """The head of a packet, 24, and the checksum of its body, 4."""
 

@@ -31,10 +31,10 @@ from threedvc.encoder.rate.rate_control import (
     surface_budget,
 )
 from threedvc.errors import ConfigError
-from threedvc.formats.container import StreamWriter
-from threedvc.formats.container.layout import CRC, PACKET_HEAD
+from threedvc.formats.container import StreamWriter, layout
 from threedvc.stream.batch import pack_batch
 from threedvc.stream.framing_sizes import (
+    FILE_HEAD_BYTES,
     MAX_BATCH_FRAMING_BYTES,
     MAX_END_BYTES,
     MAX_INDEX_ENTRY_BYTES,
@@ -126,9 +126,10 @@ def test_stream_bytes_counts_headers() -> None:
 
 
 def test_framing_takes_what_is_counted() -> None:
-    assert PACKET_HEAD.size + CRC.size == PACKET_FRAMING_BYTES
+    assert layout.PACKET_HEAD.size + layout.CRC.size == PACKET_FRAMING_BYTES
     sink = io.BytesIO()
     writer = StreamWriter(sink)
+    assert len(sink.getvalue()) == FILE_HEAD_BYTES == layout.FILE_HEAD_BYTES
     writer.write(stream_header().packet())
     for number in range(100):
         before, member = writer.offset, ModelHeader(object_id=255, frame=100_000 * number).packet(bytes(1000))
