@@ -118,10 +118,10 @@ def test_two_suffixes_of_one_frame() -> None:
 
 
 def test_many_names_are_fast() -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     found = named([f"{k:06d}" for k in range(20_000)])
     assert len(found.pictures) == 20_000
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < 2
 
 
 def test_times_in_a_name() -> None:
