@@ -58,7 +58,7 @@ SIZE, FRAMES = (160, 120), 8
 """Small enough to run with each change."""
 VOXEL_SIZE_M = 0.03
 """Fixed, so that a change of how cells are chosen does not pass for a change of speed."""
-ROUNDS = 4
+ROUNDS = 6
 """Turns of stage and yardstick; the least of each is what it takes undisturbed."""
 MAX_SLOWER, MAX_LARGER = 1.25, 1.02
 """Times the baseline: beyond what the yardstick leaves of the noise of a shared machine, and a change of size that
@@ -130,12 +130,17 @@ def cpu_seconds(work: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def speed(name: str, work: Callable[[], object], yardstick: Callable[[], object]) -> Measurement:
-    """Measure a stage and the yardstick in turns, once both are compiled."""
-    work(), yardstick()
-    turns = [(cpu_seconds(work), cpu_seconds(yardstick)) for _ in range(ROUNDS)]
-    stage, unit = (min(each) for each in zip(*turns, strict=True))
-    return Measurement(name, stage / unit, "yardsticks")
+def speeds(stages: Mapping[str, Callable[[], object]], yardstick: Callable[[], object]) -> list[Measurement]:
+    """Measure stages and the yardstick in turns, once all are compiled: what disturbs a moment disturbs one turn."""
+    for work in (*stages.values(), yardstick):
+        work()
+    taken: dict[str, list[float]] = {name: [] for name in stages}
+    units = []
+    for _ in range(ROUNDS):
+        for name, work in stages.items():
+            taken[name].append(cpu_seconds(work))
+            units.append(cpu_seconds(yardstick))
+    return [Measurement(name, min(times) / min(units), "yardsticks") for name, times in taken.items()]
 
 
 def measure() -> list[Measurement]:
@@ -145,7 +150,7 @@ def measure() -> list[Measurement]:
     live, file = _packets(sequence, frames, LIVE), _packets(sequence, sequence, FILE)
     stages = {**_encoder_stages(sequence, frames), **_stream_stages(sequence, frames, live)}
     return [
-        *(speed(name, work, yardstick) for name, work in stages.items()),
+        *speeds(stages, yardstick),
         *_size("live", live, sequence, frames),
         *_size("file", file, sequence, frames),
     ]

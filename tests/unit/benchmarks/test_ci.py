@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from ci import BASELINE, Measurement, compare, speed
+from ci import BASELINE, Measurement, compare, speeds
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_speed_is_counted_in_yardsticks() -> None:
     def busy(rounds: int) -> int:
         return sum(k * k for k in range(rounds))
 
-    measured = speed("busy", lambda: busy(400_000), lambda: busy(100_000))
+    (measured,) = speeds({"busy": lambda: busy(400_000)}, lambda: busy(100_000))
     assert measured.unit == "yardsticks"
     assert 2 < measured.value < 8
 
