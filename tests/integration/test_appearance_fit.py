@@ -225,6 +225,7 @@ def test_wrong_camera_poses_are_put_right() -> None:
     assert after[1] < 0.6 * before[1]
 
 
+@pytest.mark.long
 def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
     sequence = scene("room", 14)
     encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
@@ -252,6 +253,7 @@ def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
         assert after < 0.7 * before
 
 
+@pytest.mark.long
 def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
     sequence = scene("room", 12)
     encoder = Encoder(sequence.info, with_preset(FILE, Preset.FAST))
@@ -303,6 +305,7 @@ def test_what_is_seen_but_for_a_moment_is_not_hidden() -> None:
     assert np.mean([tuple(cell) in there for cell in read.cells[late].tolist()]) > 0.8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("motion", [Motion.KNOWN, Motion.TRACK])
 def test_pictures_taken_when_the_depth_is_have_no_shifts(motion: Motion) -> None:
     assert not members(encoded(scene("room", 10), replace(FILE, motion=motion)), PacketType.SHIFT)

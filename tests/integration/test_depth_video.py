@@ -128,6 +128,7 @@ def test_groups_of_frames_have_a_video_each() -> None:
     assert all(state.captured_depth is not None for state in states)
 
 
+@pytest.mark.long
 @with_video
 @pytest.mark.parametrize("noise", ["ideal", "kinect"])
 def test_rigid_depth_gets_none(noise: str) -> None:
@@ -228,6 +229,7 @@ def test_large_pictures_are_filmed_as_large_as_is_allowed(monkeypatch: pytest.Mo
     assert header.count * header.columns * header.rows <= most
 
 
+@pytest.mark.long
 @with_video
 def test_sensors_have_videos_of_their_own(tmp_path: Path) -> None:
     calm, other = nonrigid_sequence(FRAMES), nonrigid_sequence(FRAMES, share=0.031)
@@ -317,6 +319,7 @@ def slowly_magnified(samples: NDArray[np.uint8], drawn: NDArray[np.float32], com
     return result
 
 
+@pytest.mark.long
 @with_video
 def test_other_views_show_the_models(tmp_path: Path) -> None:
     sequence = nonrigid_sequence(FRAMES)

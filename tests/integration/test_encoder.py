@@ -345,6 +345,7 @@ def test_live_cells_are_those_of_the_evidence() -> None:
     assert np.mean([tuple(cell) in there for cell in model.cells()[0].tolist()]) > 0.7
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("motion", [Motion.KNOWN, pytest.param(Motion.TRACK, marks=pytest.mark.long)])
 def test_repeating_the_last_frame_costs_next_to_nothing(motion: Motion) -> None:
     sequence = scene("room")

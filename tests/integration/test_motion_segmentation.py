@@ -214,12 +214,14 @@ def encoded(frames: Kept, mode: SegmentationMode) -> tuple[Encoder, list[Packet]
     return encoder, list(encoder.packets(frames))
 
 
+@pytest.mark.long
 def test_a_file_is_searched_for_what_moves_where_nobody_says() -> None:
     encoder, _ = encoded(untold(filmed(moved_aside)), SegmentationMode.AUTO)
     assert encoder.scene.sequence_labels is not None
     assert set(encoder.scene.objects) >= {0, 1}
 
 
+@pytest.mark.long
 def test_where_nothing_moves_a_file_is_as_if_it_had_not_been_searched() -> None:
     frames = untold(filmed(None, 12))
     encoder, packets = encoded(frames, SegmentationMode.AUTO)

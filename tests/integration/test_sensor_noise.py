@@ -71,6 +71,7 @@ def test_frames_that_tell_nothing_do_not_count(rng: np.random.Generator) -> None
     assert meter.likelier_sensor(SENSORS[Sensor.KINECT1]) is Sensor.LIDAR
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("refine", [False, True])
 def test_a_file_is_begun_anew_with_the_sensor_that_it_shows(refine: bool) -> None:
     sequence = nonrigid_sequence(FRAMES)
@@ -109,6 +110,7 @@ def test_depth_as_guessed_stays_so(noise: str) -> None:
     assert encoder.config.sensor is Sensor.AUTO
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("voxel_size_m", [0.006])
 def test_one_frame_speaks_for_no_other_sensor(voxel_size_m: float) -> None:
     source = SyntheticSequence(make_scene("room", frames=1, size=(96, 72)), "kinect", seed=3)

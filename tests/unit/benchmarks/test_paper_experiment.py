@@ -64,6 +64,7 @@ class TestAccounting:
         assert {ratio for ratio in wanted if ratio not in text} == set()
 
 
+@pytest.mark.long
 class TestReport:
     def test_holds_the_cells_after_two_and_after_all_frames(self, folder: Path) -> None:
         text = (folder / "report.md").read_text(encoding="utf-8")

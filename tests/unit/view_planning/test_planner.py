@@ -329,6 +329,7 @@ class TestAdvice:
         assert bits[0] - bits[-1] > 2 * (bits[0] - np.mean(random_bits))
         assert bits[-1] < min(random_bits)
 
+    @pytest.mark.long
     def test_views_of_a_room_find_more_surfaces_than_random_ones(self) -> None:
         _, cells, _, random_cells = room_explored()
         assert cells[-1] - cells[0] > 2 * (np.mean(random_cells) - cells[0])
