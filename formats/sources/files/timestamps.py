@@ -144,10 +144,11 @@ def rate_of(stamps: Sequence[int], told: float | None, place: str) -> Rate:
     duration = stamps[-1] - stamps[0] if stamps else 0
     if duration <= 0:
         return Rate(told or DEFAULT_FPS)
-    intervals = len(set(stamps)) - 1  # two frames at one time are no sign of a faster camera
-    mean = round(intervals * NANOSECONDS / duration, 3) or intervals * NANOSECONDS / duration
+    # Two frames at one time are no sign of a faster camera: one has the stamp of the other, or is there twice.
+    distinct, counted = ((count - 1) * NANOSECONDS / duration for count in (len(set(stamps)), len(stamps)))
+    mean = round(distinct, 3) or distinct
     nominal = told or fps_of_stamps(stamps, mean)
-    if abs(nominal - mean) <= SAME_RATE * mean:
+    if any(abs(nominal - rate) <= SAME_RATE * rate for rate in (mean, counted)):
         return Rate(nominal)
     if told is None or abs(told - fps_of_stamps(stamps, mean)) <= SAME_RATE * told:
         return Rate(mean)  # some frames were lost

@@ -22,6 +22,7 @@ from threedvc.formats.sources.files.timestamps import (
     fps_of_stamps,
     parse_nanoseconds,
     parse_stamp,
+    rate_of,
     regular_stamp,
     to_nanoseconds,
 )
@@ -108,6 +109,23 @@ def test_interpolation_between_equal_and_at_given_poses() -> None:
     still = interpolate_pose([10, 20], [early, early], 13)
     assert still is not None
     assert np.allclose(still, early, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frames", "told", "fps"),
+    [
+        pytest.param([0, 1, 2, 3, 3, 5, 6, 7], 30.0, 30.0, id="one has the stamp of another"),
+        pytest.param([0, 1, 2, 3, 3, 5, 6, 7], None, 30.0, id="one has the stamp of another, no rate told"),
+        pytest.param([0, 1, 2, 3, 3, 4, 5, 6, 7], 30.0, 30.0, id="one is there twice"),
+        pytest.param([0, 1, 2, 3, 3, 4, 5, 6, 7], None, 30.0, id="one is there twice, no rate told"),
+        pytest.param([0, 1, 2, 6, 7, 8, 12, 13], 30.0, 30 * 7 / 13, id="some were lost"),
+        pytest.param([0, 3, 6, 9, 12], 30.0, 10.0, id="another camera"),
+    ],
+)
+def test_rate_by_stamps(frames: list[int], told: float | None, fps: float) -> None:
+    rate = rate_of([regular_stamp(frame, 30.0) for frame in frames], told, "list.txt")
+    assert rate.fps == pytest.approx(fps, abs=0.001)
+    assert [notice.warning for notice in rate.notices] == ([True] if fps == 10.0 else [])
 
 
 @pytest.mark.parametrize(
