@@ -11,7 +11,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 
 UNCOMPILED := $(patsubst %, tests/unit/%.py, model/test_block_index formats/container/test_checksum \
 	decoder/test_decoder encoder/packetizer/test_packetizer metrics/test_quality model/test_decoded_model \
-	encoder/fusion/test_ray_update stream/test_frame_report encoder/segmentation/test_segmentation \
+	encoder/fusion/test_ray_update stream/notes/test_frame_report encoder/segmentation/test_segmentation \
 	synthesis/test_shapes encoder/fusion/test_model_entropy)
 
 .DEFAULT_GOAL := help

@@ -19,7 +19,7 @@ from threedvc.formats.sources import open_sequence
 from threedvc.formats.sources.notices import Notice, notices_of
 from threedvc.frames.frame import Frame
 from threedvc.frames.sequence import FrameSequence
-from threedvc.stream.frame_report import FrameReport
+from threedvc.stream.notes.frame_report import FrameReport
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.pose_status import PoseStatus
 

@@ -10,7 +10,7 @@ from threedvc.formats.sources.files.intrinsics import CameraFile
 from threedvc.formats.sources.files.masks import unread_masks
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording, SourceOptions
-from threedvc.stream.input_options import InputOptions
+from threedvc.stream.notes.input_options import InputOptions
 
 __all__ = ["assemble"]
 

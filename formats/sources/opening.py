@@ -15,7 +15,7 @@ from threedvc.formats.sources.recording import KnownCameras, Recording, SourceOp
 from threedvc.formats.sources.registry import find_layout
 from threedvc.formats.sources.sequence import FolderSequence
 from threedvc.geometry.pose_readings import AS_GIVEN, PoseReading, pose_reading
-from threedvc.stream.input_options import InputOptions
+from threedvc.stream.notes.input_options import InputOptions
 
 __all__ = ["FrameRange", "open_sequence", "require_folder"]
 

@@ -14,7 +14,7 @@ from threedvc.errors import SequenceError
 from threedvc.formats.sources.notices import Notice
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose
-from threedvc.stream.input_options import InputOptions
+from threedvc.stream.notes.input_options import InputOptions
 
 __all__ = [
     "DEFAULT_FPS",

@@ -24,8 +24,8 @@ from threedvc.geometry.pose import Pose, make_pose
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
 from threedvc.stream.batch import pack_batch
-from threedvc.stream.frame_report import FrameReport, report_packet
 from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, ObjectHeader, PoseHeader, StreamHeader
+from threedvc.stream.notes.frame_report import FrameReport, report_packet
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.pose_status import PoseStatus
 

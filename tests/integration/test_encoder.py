@@ -25,8 +25,8 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle
 from threedvc.model.decoded_model import models_digest
 from threedvc.stream.batch import unpack_batch
-from threedvc.stream.frame_report import FrameReport
 from threedvc.stream.headers import BatchHeader, EndHeader, ModelHeader, PoseHeader, StreamHeader
+from threedvc.stream.notes.frame_report import FrameReport
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.sensor_description import nearest_multiple
 from threedvc.synthesis import SyntheticSequence, make_scene

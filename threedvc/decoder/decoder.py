@@ -18,10 +18,10 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.limits import MAX_COUNT
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.stream.batch import read_batch
-from threedvc.stream.frame_report import StreamReport
 from threedvc.stream.header_reader import BATCH_TYPES
 from threedvc.stream.headers import BatchHeader, EndHeader, SensorHeader, StreamHeader, check_supported
-from threedvc.stream.input_options import InputOptions
+from threedvc.stream.notes.frame_report import FrameReports, StreamReport
+from threedvc.stream.notes.input_options import InputNotes, InputOptions
 from threedvc.stream.packets import Packet, PacketType, type_name
 
 __all__ = ["Decoder"]
@@ -76,12 +76,12 @@ class Decoder:
     @property
     def report(self) -> StreamReport:
         """What the encoder told about its work, of at most `MAX_COUNT` frames; empty if the stream does not say."""
-        return self._notes.report
+        return self._notes.of(FrameReports).all()
 
     @property
     def input_options(self) -> Mapping[int, InputOptions]:
         """Options that the recordings were read with, by sensor."""
-        return self._notes.input_options
+        return self._notes.of(InputNotes).by_sensor
 
     def frames(self, packets: Iterable[Packet]) -> Iterator[FrameState]:
         """Yield the state of every frame, in order; `models` is up to date whenever one is yielded.

@@ -19,6 +19,7 @@ from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.post_filter import PostFilter
 from threedvc.render.picture import BackgroundImage, Light
 from threedvc.stream.headers import ObjectHeader, SensorHeader, SensorRunHeader, StreamHeader
+from threedvc.stream.notes.color_times import ColorTimes
 from threedvc.stream.sensor_order import Cycle, SensorSchedule
 
 __all__ = ["DecoderState", "ObjectState"]
@@ -158,7 +159,7 @@ class DecoderState:
         sensor, synchronised = self.sensors[slot.sensor], slot.synchronised and frame > 0
         timestamp, number = sensor.take_time_ns(), sensor.frames
         self._count_frame(sensor, synchronised)
-        offset = self.notes.take_color_offset_ns(frame)
+        offset = self.notes.of(ColorTimes).take_offset_ns(frame)
         poses = camera_poses({number: item.pose for number, item in self.objects.items()})
         return FrameState(
             index=frame,

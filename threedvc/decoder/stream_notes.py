@@ -1,51 +1,54 @@
 # SPDX-License-Identifier: MIT
-"""What META packets tell beside the frames: the encoder's report, how the input was read, times of colour pictures."""
+"""What META packets tell beside the frames, of every kind that has a module in `threedvc.stream.notes`."""
 
 from __future__ import annotations
 
-from threedvc.limits import MAX_COUNT
-from threedvc.stream.color_times import unpack_color_times
-from threedvc.stream.frame_report import StreamReport, unpack_report
-from threedvc.stream.input_options import InputOptions, unpack_input_options
-from threedvc.stream.packets import Packet
-from threedvc.stream.pose_status import PoseStatus
+import pkgutil
+from importlib import import_module
+from typing import ClassVar, Protocol, TypeVar
 
-__all__ = ["StreamNotes"]
+from threedvc.stream import notes
+from threedvc.stream.packets import Packet
+
+__all__ = ["Note", "StreamNotes"]
+
+
+class Note(Protocol):
+    """Gathers the META packets of one kind; made anew for each stream."""
+
+    kind: ClassVar[str]
+    """The text under ``k`` in the header of its packets."""
+
+    def add(self, packet: Packet) -> None:
+        """Note what a packet of this kind tells.
+
+        Raises
+        ------
+        CorruptStream
+            If the packet is malformed.
+        """
+
+
+N = TypeVar("N", bound=Note)
+NOTES: tuple[type[Note], ...] = tuple(
+    import_module(f"{notes.__name__}.{module.name}").NOTE for module in pkgutil.iter_modules(notes.__path__)
+)
 
 
 class StreamNotes:
-    """The notes of a stream, gathered wherever they stand.
-
-    Attributes
-    ----------
-    input_options
-        Options that the recordings were read with, by sensor.
-    """
+    """The notes of a stream, gathered wherever they stand."""
 
     def __init__(self) -> None:
-        self.input_options: dict[int, InputOptions] = {}
-        self._entropy_bits: list[float] = []
-        self._status: list[PoseStatus] = []
-        self._color_offsets_ns: dict[int, int] = {}
-
-    @property
-    def report(self) -> StreamReport:
-        """What the encoder told about its work, of at most `MAX_COUNT` frames; empty if the stream does not say."""
-        return StreamReport(entropy_bits=tuple(self._entropy_bits), status=tuple(self._status))
+        self._notes: dict[str, Note] = {note.kind: note() for note in NOTES}
 
     def add(self, packet: Packet) -> None:
         """Note what a META packet tells, if it is of a kind that this reader knows."""
-        self._color_offsets_ns.update(unpack_color_times(packet) or {})
-        if (options := unpack_input_options(packet)) is not None:
-            self.input_options[options[0]] = options[1]
-        if (report := unpack_report(packet)) is not None:
-            self._add_report(report)
+        kind = packet.header.get("k")
+        if isinstance(kind, str) and kind in self._notes:
+            self._notes[kind].add(packet)
 
-    def _add_report(self, report: StreamReport) -> None:
-        free = MAX_COUNT - len(self._status)
-        self._entropy_bits += report.entropy_bits[:free]
-        self._status += report.status[:free]
-
-    def take_color_offset_ns(self, frame: int) -> int:
-        """Return how much later than its depth picture the colour picture of a frame was taken, and forget it."""
-        return self._color_offsets_ns.pop(frame, 0)
+    def of(self, note: type[N]) -> N:
+        """Return what was gathered of one kind."""
+        found = self._notes[note.kind]
+        assert isinstance(found, note)
+        return found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, is_rigid
-from threedvc.stream.input_options import InputOptions
+from threedvc.stream.notes.input_options import InputOptions
 
 __all__ = ["Frame", "SensorInfo", "SequenceInfo", "check_frame"]
 
@@ -100,7 +100,7 @@ class SequenceInfo:
     has_camera_poses, has_object_poses, has_masks
         What the frames carry.
     read_as
-        Options that the recording was read with where its user gave any, see `threedvc.stream.input_options`.
+        Options that the recording was read with where its user gave any, see `threedvc.stream.notes.input_options`.
     sensors
         All sensors, the first one included, where there are several; else empty.
     """

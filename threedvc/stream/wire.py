@@ -18,7 +18,6 @@ from threedvc.limits import MAX_HEADER_BYTES, MAX_HEADER_DEPTH, MAX_HEADER_ITEMS
 __all__ = [
     "DIGEST_BYTES",
     "MAX_VARINT_BYTES",
-    "META_ZSTD_LEVEL",
     "ByteReader",
     "pack_map",
     "pack_signed_varint",
@@ -32,8 +31,6 @@ MAX_VARINT_BYTES = 10
 """Groups of 7 bits that 64 bits take."""
 INTEGRAL_FLOAT_BOUND = 2.0**31
 """Integers below it take at most 5 bytes of msgpack, a float64 takes 9."""
-META_ZSTD_LEVEL = 19
-"""Of Zstandard, for META payloads, which are small and packed once: its highest but for those it calls ultra."""
 
 
 def pack_map(values: dict[str, Any]) -> bytes:

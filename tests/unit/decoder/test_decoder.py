@@ -26,7 +26,6 @@ from threedvc.limits import MAX_COUNT, MAX_FRAME
 from threedvc.model.decoded_model import DecodedModel, models_digest
 from threedvc.model.model_update import ModelUpdate
 from threedvc.stream.batch import pack_batch
-from threedvc.stream.frame_report import FrameReport, report_packet
 from threedvc.stream.headers import (
     BatchHeader,
     ClockHeader,
@@ -36,6 +35,7 @@ from threedvc.stream.headers import (
     PoseHeader,
     StreamHeader,
 )
+from threedvc.stream.notes.frame_report import FrameReport, report_packet
 from threedvc.stream.packets import Packet
 from threedvc.stream.pose_status import PoseStatus
 from threedvc.stream.sensor_description import nearest_multiple, rig_of
@@ -204,7 +204,7 @@ def test_the_report_is_gathered_wherever_it_stands() -> None:
 
 
 def test_an_unbounded_report_keeps_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("threedvc.decoder.stream_notes.MAX_COUNT", 5)
+    monkeypatch.setattr("threedvc.stream.notes.frame_report.MAX_COUNT", 5)
     told = [FrameReport(index=k, timestamp_ns=k, status=PoseStatus.KNOWN, entropy_bits=2.0**k) for k in range(4)]
     decoder = decoded(*[report_packet(told)] * 3, Author().end(0))
     assert decoder.report.entropy_bits == (1, 2, 4, 8, 1)

@@ -22,8 +22,8 @@ from threedvc.formats.encoding import encode
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import compose, identity, make_pose, rotation_from_vector
 from threedvc.metrics.picture_quality import psnr
-from threedvc.stream.frame_report import FrameReport
 from threedvc.stream.headers import BatchHeader
+from threedvc.stream.notes.frame_report import FrameReport
 from threedvc.stream.packets import PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 

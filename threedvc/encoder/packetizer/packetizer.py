@@ -27,8 +27,8 @@ from threedvc.geometry.pose import Pose, identity
 from threedvc.limits import MAX_COUNT
 from threedvc.model.post_filter import PostFilter
 from threedvc.stream.batch import pack_batch
-from threedvc.stream.frame_report import FrameReport, report_packet
 from threedvc.stream.headers import BackdropHeader, BatchHeader, EndHeader, FilterHeader
+from threedvc.stream.notes.frame_report import FrameReport, report_packet
 from threedvc.stream.packets import Packet
 
 __all__ = ["Packetizer"]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from threedvc.encoder.packetizer.scene_source import BatchFrames, SceneSource, frames_by_sensor
 from threedvc.encoder.packetizer.sent_state import SentState
-from threedvc.stream.color_times import color_times_packet
 from threedvc.stream.headers import ClockHeader, GainHeader, OrderHeader
+from threedvc.stream.notes.color_times import color_times_packet
 from threedvc.stream.packets import Packet
 from threedvc.stream.sensor_order import SensorSlot, pack_cycle, shortest_cycle
 from threedvc.stream.wire import pack_signed_varint

@@ -8,7 +8,7 @@ from typing import TypedDict
 from threedvc.encoder.packetizer.sent_state import SensorClock, SentState
 from threedvc.frames.frame import SensorInfo, SequenceInfo
 from threedvc.stream.headers import SensorHeader, StreamHeader
-from threedvc.stream.input_options import input_options_packet
+from threedvc.stream.notes.input_options import input_options_packet
 from threedvc.stream.packets import Packet
 from threedvc.stream.sensor_description import camera_record, transform_record
 

@@ -23,7 +23,7 @@ from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence, frame_sets
-from threedvc.stream.frame_report import FrameReport, OnFrame
+from threedvc.stream.notes.frame_report import FrameReport, OnFrame
 from threedvc.stream.packets import Packet
 
 __all__ = ["Encoder"]

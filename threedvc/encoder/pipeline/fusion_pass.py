@@ -12,7 +12,7 @@ from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, carry_resting_objects
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.frames.sequence import FrameSequence, frame_sets
-from threedvc.stream.frame_report import FrameReport, OnFrame
+from threedvc.stream.notes.frame_report import FrameReport, OnFrame
 from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["FrameReporter", "FusionPass", "Reconstruction", "fuse_frames"]

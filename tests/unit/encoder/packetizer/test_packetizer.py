@@ -23,8 +23,8 @@ from threedvc.frames.frame import SensorInfo, SequenceInfo
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.stream.batch import unpack_batch
-from threedvc.stream.frame_report import FrameReport
 from threedvc.stream.headers import BatchHeader, ClockHeader, ObjectHeader, PoseHeader
+from threedvc.stream.notes.frame_report import FrameReport
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.pose_status import PoseStatus
 

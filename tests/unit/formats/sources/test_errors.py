@@ -39,9 +39,9 @@ def test_file_instead_of_folder(recording: Path) -> None:
 
 def test_unknown_layout_name(recording: Path) -> None:
     assert message(recording, layout="bundle") == (
-        "--layout bundle: no such layout; choose one of auto, 7scenes, bare, flat, icl-nuim, plain, redwood, tum"
+        f"--layout bundle: no such layout; choose one of {', '.join(layout_names())}"
     )
-    assert layout_names()[0] == "auto"
+    assert layout_names()[:3] == ("auto", "7scenes", "bare")
 
 
 def test_unrecognised_folder(tmp_path: Path) -> None:

@@ -5,17 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
-
-import zstandard
+from typing import ClassVar
 
 from threedvc.errors import CorruptStream
 from threedvc.limits import MAX_COUNT, MAX_FRAME
+from threedvc.stream.compressed_payload import compress, decompress
 from threedvc.stream.packets import Packet, PacketType
-from threedvc.stream.wire import MAX_VARINT_BYTES, META_ZSTD_LEVEL, ByteReader, pack_signed_varint, pack_varint
+from threedvc.stream.wire import MAX_VARINT_BYTES, ByteReader, pack_signed_varint, pack_varint
 
-__all__ = ["color_times_packet", "unpack_color_times"]
+__all__ = ["NOTE", "ColorTimes", "color_times_packet", "unpack_color_times"]
 
-KIND = "color times"
 FIRST_FRAME = "f"
 MAX_BYTES = MAX_VARINT_BYTES * MAX_COUNT
 """Bytes of a packet's varints."""
@@ -35,24 +34,22 @@ def color_times_packet(first: int, offsets_ns: Sequence[int]) -> Packet:
     """
     steps = [later - earlier for earlier, later in pairwise([0, *offsets_ns])]
     parts = [pack_varint(len(offsets_ns)), *(pack_signed_varint(step) for step in steps)]
-    payload = zstandard.ZstdCompressor(level=META_ZSTD_LEVEL).compress(b"".join(parts))
-    return Packet(type=PacketType.META, header={"k": KIND, FIRST_FRAME: first}, payload=payload, critical=False)
+    header = {"k": ColorTimes.kind, FIRST_FRAME: first}
+    return Packet(type=PacketType.META, header=header, payload=compress(b"".join(parts)), critical=False)
 
 
-def unpack_color_times(packet: Packet) -> Mapping[int, int] | None:
-    """Read a packet made by `color_times_packet`: the offsets by number of frame; None if it is another kind of META.
+def unpack_color_times(packet: Packet) -> Mapping[int, int]:
+    """Read a packet made by `color_times_packet`: the offsets by number of frame.
 
     Raises
     ------
     CorruptStream
         If it is malformed.
     """
-    if packet.header.get("k") != KIND:
-        return None
     first = packet.header.get(FIRST_FRAME)
     if not isinstance(first, int) or not 0 <= first <= MAX_FRAME:
         raise CorruptStream(f"the colour pictures' times begin at frame {first!r}")
-    reader = ByteReader(_decompressed(packet.payload))
+    reader = ByteReader(decompress(packet.payload, MAX_BYTES, "a packet of times of colour pictures"))
     count = reader.varint()
     if count > MAX_COUNT:
         raise CorruptStream(f"times of {count} colour pictures are more than {MAX_COUNT}")
@@ -62,12 +59,21 @@ def unpack_color_times(packet: Packet) -> Mapping[int, int] | None:
     return {first + index: offset for index, offset in enumerate(offsets)}
 
 
-def _decompressed(payload: bytes) -> bytes:
-    try:
-        # The size that the Zstandard frame states rules its allocation, whatever limit is passed.
-        size = zstandard.frame_content_size(payload)
-        if not 0 <= size <= MAX_BYTES:
-            raise CorruptStream(f"times of colour pictures state {size} bytes, at most {MAX_BYTES} are accepted")
-        return zstandard.ZstdDecompressor().decompress(payload, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise CorruptStream(f"times of colour pictures cannot be read: {error}") from None
+class ColorTimes:
+    """The times of colour pictures in a stream, for frames that are still to come."""
+
+    kind: ClassVar[str] = "color times"
+
+    def __init__(self) -> None:
+        self._offsets_ns: dict[int, int] = {}
+
+    def add(self, packet: Packet) -> None:
+        """Note the times of a packet."""
+        self._offsets_ns.update(unpack_color_times(packet))
+
+    def take_offset_ns(self, frame: int) -> int:
+        """Return how much later than its depth picture the colour picture of a frame was taken, and forget it."""
+        return self._offsets_ns.pop(frame, 0)
+
+
+NOTE = ColorTimes

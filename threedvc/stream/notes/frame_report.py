@@ -6,20 +6,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, groupby, pairwise
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
-import zstandard
 
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.limits import MAX_COUNT
+from threedvc.stream.compressed_payload import compress, decompress
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.stream.pose_status import PoseStatus
-from threedvc.stream.wire import META_ZSTD_LEVEL, ByteReader, pack_signed_varint, pack_varint
+from threedvc.stream.wire import ByteReader, pack_signed_varint, pack_varint
 
-__all__ = ["REPORT_KIND", "FrameReport", "OnFrame", "StreamReport", "report_packet", "unpack_report"]
+__all__ = ["NOTE", "FrameReport", "FrameReports", "OnFrame", "StreamReport", "report_packet", "unpack_report"]
 
-REPORT_KIND = "report"
 STEPS_PER_OCTAVE = 32
 """Levels of entropy up to its double: 2.2 % apart, so that a level is within 1.1 %."""
 MAX_LEVEL = 64 * STEPS_PER_OCTAVE
@@ -83,21 +82,19 @@ def report_packet(frames: Sequence[FrameReport]) -> Packet:
     parts = [pack_varint(len(frames)), pack_varint(len(runs))]
     parts += [pack_varint(code) + pack_varint(count) for code, count in runs]
     parts += [pack_signed_varint(step) for step in steps]
-    payload = zstandard.ZstdCompressor(level=META_ZSTD_LEVEL).compress(b"".join(parts))
-    return Packet(type=PacketType.META, header={"k": REPORT_KIND}, payload=payload, critical=False)
+    header = {"k": FrameReports.kind}
+    return Packet(type=PacketType.META, header=header, payload=compress(b"".join(parts)), critical=False)
 
 
-def unpack_report(packet: Packet) -> StreamReport | None:
-    """Read a packet made by `report_packet`; None if it is another kind of META.
+def unpack_report(packet: Packet) -> StreamReport:
+    """Read a packet made by `report_packet`.
 
     Raises
     ------
     CorruptStream
         If the payload is malformed.
     """
-    if packet.header.get("k") != REPORT_KIND:
-        return None
-    reader = ByteReader(_decompressed(packet.payload))
+    reader = ByteReader(decompress(packet.payload, MAX_REPORT_BYTES, "the encoder's report"))
     count, runs = reader.varint(), reader.varint()
     if count > MAX_COUNT or runs > count:
         raise CorruptStream(f"the encoder's report of {count} frames in {runs} runs is impossible")
@@ -114,13 +111,25 @@ def unpack_report(packet: Packet) -> StreamReport | None:
     return StreamReport(entropy_bits=bits, status=tuple(status))
 
 
-def _decompressed(payload: bytes) -> bytes:
-    try:
-        # The size that the Zstandard frame states rules its allocation, whatever limit is passed.
-        size = zstandard.frame_content_size(payload)
-        if not 0 <= size <= MAX_REPORT_BYTES:
-            told = f"states {size} bytes" if size > 0 else "does not state its size"
-            raise CorruptStream(f"the encoder's report {told}, at most {MAX_REPORT_BYTES} are accepted")
-        return zstandard.ZstdDecompressor().decompress(payload, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise CorruptStream(f"the encoder's report cannot be read: {error}") from None
+class FrameReports:
+    """The reports of a stream, gathered wherever they stand."""
+
+    kind: ClassVar[str] = "report"
+
+    def __init__(self) -> None:
+        self._entropy_bits: list[float] = []
+        self._status: list[PoseStatus] = []
+
+    def add(self, packet: Packet) -> None:
+        """Note what a packet reports, of at most `MAX_COUNT` frames in all."""
+        report = unpack_report(packet)
+        free = MAX_COUNT - len(self._status)
+        self._entropy_bits += report.entropy_bits[:free]
+        self._status += report.status[:free]
+
+    def all(self) -> StreamReport:
+        """Return what was reported; empty if the stream does not say."""
+        return StreamReport(entropy_bits=tuple(self._entropy_bits), status=tuple(self._status))
+
+
+NOTE = FrameReports

@@ -5,17 +5,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from threedvc.limits import MAX_SENSORS
 from threedvc.stream.packets import Packet, PacketType
 
-__all__ = ["InputOptions", "input_options_packet", "unpack_input_options"]
+__all__ = ["NOTE", "InputNotes", "InputOptions", "input_options_packet", "unpack_input_options"]
 
 InputOptions: TypeAlias = Mapping[str, str | float]
 """Options of the reader by name: ``layout``, ``color``, ``depth``, ``poses`` (texts), ``depth_scale`` (per metre)."""
 
-KIND = "input"
 SENSOR = "s"
 TEXTS = ("layout", "color", "depth", "poses")
 NUMBERS = ("depth_scale",)
@@ -25,17 +24,17 @@ MAX_TEXT = 255
 
 def input_options_packet(sensor: int, options: InputOptions) -> Packet:
     """Pack the options that the recording of a sensor was read with."""
-    header = {"k": KIND, **({SENSOR: sensor} if sensor else {}), **options}
+    header = {"k": InputNotes.kind, **({SENSOR: sensor} if sensor else {}), **options}
     return Packet(type=PacketType.META, header=header, payload=b"", critical=False)
 
 
 def unpack_input_options(packet: Packet) -> tuple[int, InputOptions] | None:
-    """Return the sensor and the options of a packet made by `input_options_packet`, None for another kind of META.
+    """Return the sensor and the options of a packet made by `input_options_packet`; None if no sensor has its number.
 
     What is no such option is passed over: a stream may be newer, or damaged on purpose.
     """
     sensor = packet.header.get(SENSOR, 0)
-    if packet.header.get("k") != KIND or not isinstance(sensor, int) or not 0 <= sensor < MAX_SENSORS:
+    if not isinstance(sensor, int) or not 0 <= sensor < MAX_SENSORS:
         return None
     options: dict[str, str | float] = {}
     for name, value in packet.header.items():
@@ -44,3 +43,26 @@ def unpack_input_options(packet: Packet) -> tuple[int, InputOptions] | None:
         elif name in NUMBERS and isinstance(value, int | float) and math.isfinite(value) and value > 0:
             options[name] = float(value)
     return sensor, options
+
+
+class InputNotes:
+    """The options that a stream's recordings were read with.
+
+    Attributes
+    ----------
+    by_sensor
+        Options by number of the sensor.
+    """
+
+    kind: ClassVar[str] = "input"
+
+    def __init__(self) -> None:
+        self.by_sensor: dict[int, InputOptions] = {}
+
+    def add(self, packet: Packet) -> None:
+        """Note the options of a packet."""
+        if (options := unpack_input_options(packet)) is not None:
+            self.by_sensor[options[0]] = options[1]
+
+
+NOTE = InputNotes
