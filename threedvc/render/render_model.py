@@ -9,13 +9,21 @@ from numpy.typing import NDArray
 from threedvc.kernels.render.render_blocks import BORDERED_CELLS, build_block
 from threedvc.model.block_index import BLOCK_CELLS, BLOCK_SIDE, BlockIndex
 from threedvc.model.decoded_model import DecodedModel, shifted_blocks
+from threedvc.model.texture import ColorGrid
 from threedvc.parallel import for_ranges
+from threedvc.render.video_texture import SCALES, VideoTexture
 
 __all__ = ["RenderModel"]
 
 
 class RenderModel:
-    """A decoded model in the form that rays walk through; kept up to date by `refresh`."""
+    """A decoded model in the form that rays walk through; kept up to date by `refresh`.
+
+    Attributes
+    ----------
+    textures
+        Colours from the pictures of a colour video, the finest first; none before there was one.
+    """
 
     def __init__(self, model: DecodedModel) -> None:
         self.model = model
@@ -23,7 +31,18 @@ class RenderModel:
         self.skip = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.corners = np.zeros((0, BLOCK_CELLS), dtype=np.uint8)
         self.plane = np.zeros((0, BORDERED_CELLS, 4), dtype=np.int8)
+        self.textures: tuple[VideoTexture, ...] = ()
         self._version = 0
+
+    def video_textures(self) -> tuple[VideoTexture, ...]:
+        """Return the textures that pictures of a colour video fill, made when first asked for."""
+        if not self.textures:
+            self.textures = tuple(VideoTexture(self.model.voxel_size_m / scale) for scale in SCALES)
+        return self.textures
+
+    def color_grids(self) -> list[ColorGrid]:
+        """Return where to look a colour up, the finest first."""
+        return [*(texture.grid() for texture in self.textures), *self.model.color_grids()]
 
     def refresh(self, threads: int) -> None:
         """Rebuild the blocks around everything that changed since the last call."""

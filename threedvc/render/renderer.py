@@ -19,12 +19,14 @@ from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.kernels.render.ray_sampling import interpolate_between, interpolate_centers, interpolate_diamonds
 from threedvc.kernels.render.raycast import OPACITY, CastBlocks, cast_rays
 from threedvc.kernels.render.tiles import Tiles
+from threedvc.kernels.render.video_texture import SeenSurface
 from threedvc.model.post_filter import PostFilter, classify_pixels
 from threedvc.parallel import for_ranges
 from threedvc.render.picture import BackgroundImage, Light, Picture
 from threedvc.render.ray_grid import RayGrid, cells_from_camera
 from threedvc.render.render_model import RenderModel
 from threedvc.render.shading import Gain, Hits, first_rays, pixel_colors, shaded_rays
+from threedvc.render.video_texture import MAX_DEPTH_RATIO
 
 __all__ = ["Renderer"]
 
@@ -122,6 +124,36 @@ class Renderer:
         return Picture(
             color=picture, depth=depth.reshape(shape), labels=labels.reshape(shape), pixel_classes=pixel_classes
         )
+
+    def gather_colors(
+        self, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], picture: NDArray[np.uint8]
+    ) -> None:
+        """Colour models by what a decoded picture shows of them.
+
+        Parameters
+        ----------
+        models
+            Objects by number, refreshed.
+        poses
+            T_camera_object of every object, for the depth camera when the picture was taken.
+        picture
+            (h, w, 3) uint8 RGB in the colour camera.
+        """
+        rays = self._pixel_rays()
+        moved = {number: compose(self.rig.T_color_depth, pose) for number, pose in poses.items()}
+        depth, labels = self.cast(rays, models, moved)
+        shape = picture.shape[:2]
+        for number, pose in moved.items():
+            for texture in models[number].video_textures():
+                T = cells_from_camera(pose, texture.texel_size_m)
+                seen = SeenSurface(rays.slopes, depth.reshape(shape), labels.reshape(shape), number, T, MAX_DEPTH_RATIO)
+                texture.add(seen, picture, self.config.threads)
+
+    def _pixel_rays(self) -> RayGrid:
+        """Return one ray for each pixel of the colour picture."""
+        if self._color_rays.width == self.rig.color.width:
+            return self._color_rays
+        return RayGrid(self.rig.color, 1)
 
     def _colored(
         self,

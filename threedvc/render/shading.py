@@ -47,7 +47,7 @@ def shaded_rays(
     if backdrop is not None:
         _shade_background(rays, hits, poses.get(0, identity()), backdrop, color, known, threads)
     for number in sorted(poses):
-        for grid in models[number].model.color_grids():
+        for grid in models[number].color_grids():
             T = cells_from_camera(poses[number], grid.cell_size_m)
 
             def ray_range(start: int, stop: int, grid: ColorGrid = grid, T: Pose = T, number: int = number) -> None:
