@@ -18,7 +18,16 @@ from threedvc.arrays import Floats
 from threedvc.kernels.coding.ycocg import color_rows, stretch_rows
 from threedvc.parallel import for_ranges
 
-__all__ = ["MAX_MAGNIFIED", "Planes", "Samples", "VideoFormat", "picture_of", "planes_of", "spare_magnification"]
+__all__ = [
+    "MAX_MAGNIFIED",
+    "CapturedColor",
+    "Planes",
+    "Samples",
+    "VideoFormat",
+    "picture_of",
+    "planes_of",
+    "spare_magnification",
+]
 
 MAX_MAGNIFIED = 2
 """Chroma is magnified by 1 + m/4 with m up to this: 5 to 9 % fewer bytes (decision 0030)."""
@@ -73,6 +82,18 @@ class VideoFormat:
     def chroma_shape(self) -> tuple[int, int]:
         """Rows and columns of a chroma plane."""
         return -(-self.height // 2), -(-self.width // 2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CapturedColor:
+    """The colour of one frame as it was captured."""
+
+    planes: Planes
+    video: VideoFormat
+
+    def shown(self, width: int, height: int, threads: int) -> Picture:
+        """Return the picture (height, width, 3) of the frame."""
+        return picture_of(self.planes, self.video, width, height, threads)
 
 
 def spare_magnification(picture: Picture) -> int:
