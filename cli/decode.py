@@ -44,6 +44,8 @@ FILTERS = ("all", "none", "silhouettes", "surfaces")
               help="Where to apply the stream's filter of colour pictures.")  # fmt: skip
 @click.option("--depth", "depth_from", type=click.Choice(["filmed", "models"]), default="filmed", show_default=True,
               help="Depth as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
+@click.option("--colors", "color_from", type=click.Choice(["filmed", "models"]), default="filmed", show_default=True,
+              help="Colour as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
 @click.option("--supersample", type=click.IntRange(1, 4), metavar="1..4",
               help="Rays per pixel side for colour.  [default: 2 on small pictures, else 1]")  # fmt: skip
 @force_option
@@ -59,6 +61,7 @@ def decode(
     camera_path: Path | None,
     filter_parts: str,
     depth_from: str,
+    color_from: str,
     supersample: int | None,
     force: bool,
     threads: int | None,
@@ -86,6 +89,7 @@ def decode(
             supersample=supersample,
             filter_parts=FilterParts(filter_parts),
             captured_depth=depth_from == "filmed",
+            captured_color=color_from == "filmed",
             threads=threads or default_threads(),
         ),
     )
@@ -113,7 +117,14 @@ def decode(
                 progress.advance(progress.frames + 1)
         except TruncatedStream as error:
             raise TruncatedStream(f"{error}; {progress.frames} frames were decoded into {folder}") from None
+        if stream.unread_codec is not None:
+            click.echo(f"{source}: {_unread(stream.unread_codec)}", err=True)
         progress.summary(f"{folder}: {progress.frames} frames, {progress.frames_per_second:.1f} frames/s")
+
+
+def _unread(codec: int) -> str:
+    remedy = "install av with dav1d" if codec == 1 else "use a newer 3dvc"
+    return f"cannot decode its colour video (codec {codec}), so the pictures show the models' colours; {remedy}"
 
 
 def _camera_path(path: Path) -> list[Pose]:

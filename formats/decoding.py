@@ -99,8 +99,6 @@ class DecodedStream:
         if camera_path is not None and not len(camera_path):
             raise ConfigError("the camera path has no poses; give one line for each frame")
         render = render or RenderConfig()
-        self._captured_depth = render.captured_depth and "depth" in what and objects is None and camera_path is None
-        self.decoder = Decoder(captured_depth=self._captured_depth)
         self._frames, self._what, self._objects = frames or (0, None), what, objects
         self._camera_path = camera_path
         self._opened = ExitStack()
@@ -123,6 +121,11 @@ class DecodedStream:
         shown = [rig if size is None else rig.resized(*size) for rig in rigs]
         self._sensor = 0 if sensor is None and camera_path is not None else sensor
         self._same_picture = camera_path is None and all(_same_size(*pair) for pair in zip(rigs, shown, strict=True))
+        as_filmed = objects is None and camera_path is None
+        self.decoder = Decoder(
+            captured_depth=render.captured_depth and "depth" in what and as_filmed,
+            captured_color=render.captured_color and "color" in what and as_filmed and self._same_picture,
+        )
         self._renderers = [Renderer(rig, render) for rig in shown]
         self._drawable = DrawableModels(render.threads)
         self.infos = tuple(_info(header, rig, what) for header, rig in zip(headers, shown, strict=True))
@@ -135,6 +138,11 @@ class DecodedStream:
     def info(self) -> SequenceInfo:
         """What the frames of the first sensor, or of the one that is chosen, will be as a sequence."""
         return self.infos[self._sensor or 0]
+
+    @property
+    def unread_codec(self) -> int | None:
+        """The number of the codec of a colour video that was wanted and cannot be decoded here; else None."""
+        return self.decoder.unread_codec
 
     def __iter__(self) -> Iterator[DecodedFrame]:
         first, stop = self._frames
@@ -187,16 +195,20 @@ class DecodedStream:
         picture = renderer.draw(
             self._drawable.refreshed(self.decoder.models, shown),
             shown,
-            color="color" in self._what,
+            color="color" in self._what and state.captured_color is None,
             gain=apply_gain(state.gain) if as_captured else None,
             T_shifted_camera=state.T_shifted_camera if as_captured else None,
             backdrop=state.backdrop if self._objects is None or 0 in self._objects else None,
             lights={number: light for number, light in state.lights.items() if number in shown},
             filters=state.filters if self._same_picture else None,
         )
-        if state.captured_depth is None:
-            return picture
-        return replace(picture, depth=state.captured_depth.shown(picture.depth, renderer.config.threads))
+        threads = renderer.config.threads
+        if state.captured_color is not None:
+            camera = renderer.rig.color
+            picture = replace(picture, color=state.captured_color.shown(camera.width, camera.height, threads))
+        if state.captured_depth is not None:
+            picture = replace(picture, depth=state.captured_depth.shown(picture.depth, threads))
+        return picture
 
 
 @contextmanager

@@ -138,7 +138,7 @@ def explore(
         If no frame of it shows a surface.
     """
     config = config or ExplorationConfig()
-    decoder = Decoder(captured_depth=False)
+    decoder = Decoder(captured_depth=False, captured_color=False)
     with open_input(source) as reader, errors_named(reader.name):
         states = downsampled_frames(_states(decoder, reader, on_frame))
         if decoder.header is None:

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 
+from threedvc.choices import ColorVideo, DepthVideo, FilterParts, Motion, Preset, SegmentationMode, Sensor
 from threedvc.errors import ConfigError
 from threedvc.limits import MAX_RELIEF_BITS
 from threedvc.parallel import default_threads
@@ -13,6 +13,7 @@ from threedvc.parallel import default_threads
 __all__ = [
     "AppearanceConfig",
     "ColorConfig",
+    "ColorVideo",
     "DepthVideo",
     "EncoderConfig",
     "ExplorationConfig",
@@ -26,6 +27,7 @@ __all__ = [
     "SegmentationConfig",
     "SegmentationMode",
     "Sensor",
+    "VideoConfig",
     "with_preset",
     "with_quality",
     "with_step",
@@ -59,82 +61,11 @@ CHROMA_STEP = 1.75
 """Times the step of luma; by taste: the eye sees chroma less sharply."""
 ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
 """Of alignment, by preset. Measured on the kitchen (decision 0008): three give 0.5 dB, further ones 0.1 dB each."""
-
-
-class Motion(StrEnum):
-    """Where poses come from."""
-
-    AUTO = "auto"
-    KNOWN = "known"
-    TRACK = "track"
-
-
-class DepthVideo(StrEnum):
-    """Whether a file carries a video of depth that the models do not tell, see `threedvc.render.captured_depth`.
-
-    AUTO: if the stream gains more by it than it costs; the preset FAST has none. ON: as far as the rate leaves room.
-    A live stream cannot have one.
-    """
-
-    AUTO = "auto"
-    ON = "on"
-    OFF = "off"
-
-
-class Sensor(StrEnum):
-    """Noise of the depth sensor, see `threedvc.frames.sensor_model`."""
-
-    AUTO = "auto"
-    IDEAL = "ideal"
-    KINECT1 = "kinect1"
-    REALSENSE = "realsense"
-    LIDAR = "lidar"
-
-
-class Preset(StrEnum):
-    """How much work an encoder does.
-
-    LIVE sends each group of frames as soon as it is fused. FAST fuses every frame first and fits colours to the drawn
-    pictures. MEDIUM also calibrates the colour camera and refines all poses. SLOW goes on with that for longer.
-    """
-
-    LIVE = "live"
-    FAST = "fast"
-    MEDIUM = "medium"
-    SLOW = "slow"
-
-
-class SegmentationMode(StrEnum):
-    """How a frame is divided into objects; MOTION finds out what moves on its own.
-
-    AUTO takes masks where there are some. Else it looks for motion in a file whose poses are refined, and divides it if
-    something moves; a stream that is sent as it comes is not divided.
-    """
-
-    AUTO = "auto"
-    NONE = "none"
-    DEPTH = "depth"
-    MASKS = "masks"
-    MOTION = "motion"
-
-
-class FilterParts(StrEnum):
-    """Where the filter of drawn pictures works."""
-
-    ALL = "all"
-    NONE = "none"
-    SILHOUETTES = "silhouettes"
-    SURFACES = "surfaces"
-
-    @property
-    def at_silhouettes(self) -> bool:
-        """Whether it works at silhouettes and near them."""
-        return self in (FilterParts.ALL, FilterParts.SILHOUETTES)
-
-    @property
-    def on_surfaces(self) -> bool:
-        """Whether it works elsewhere."""
-        return self in (FilterParts.ALL, FilterParts.SURFACES)
+MIN_CRF, MAX_CRF, MIDDLE_CRF = 1.0, 70.0, 45.0
+"""Quantisation of a video, from hardly visible to the coarsest that AV1 has, and at the middle quality."""
+VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
+"""Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 three times as long for 7 % fewer
+bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,6 +198,28 @@ class PoseConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class VideoConfig:
+    """Coding of a colour video.
+
+    Attributes
+    ----------
+    crf
+        Quantisation of AV1, from 1 to 70 in quarters, the finest first; of no meaning with a rate.
+    preset
+        Work of the encoder, the most at 0.
+    """
+
+    crf: float = MIDDLE_CRF
+    preset: int = VIDEO_PRESETS["medium"]
+
+    def __post_init__(self) -> None:
+        if not (MIN_CRF <= self.crf <= MAX_CRF and 4 * self.crf == int(4 * self.crf)):
+            raise ConfigError(f"quantisation {self.crf} of a video must be within {MIN_CRF}..{MAX_CRF}, in quarters")
+        if not 0 <= self.preset <= 13:
+            raise ConfigError(f"preset {self.preset} of a video must be within 0..13")
+
+
+@dataclass(frozen=True, kw_only=True)
 class EncoderConfig:
     """All choices of the encoder.
 
@@ -295,6 +248,8 @@ class EncoderConfig:
         frames that can be read more than once.
     depth_video
         See `DepthVideo`.
+    color_video, video
+        See `ColorVideo` and `VideoConfig`.
     causal
         Send each group as soon as it is fused (live); otherwise fuse everything first.
     batch_frames
@@ -319,6 +274,8 @@ class EncoderConfig:
     live_buffer_s: float = 1.0
     refine: bool = True
     depth_video: DepthVideo = DepthVideo.AUTO
+    color_video: ColorVideo = ColorVideo.AUTO
+    video: VideoConfig = field(default_factory=VideoConfig)
     causal: bool = False
     batch_frames: int | None = None
     threads: int = field(default_factory=default_threads)
@@ -339,6 +296,8 @@ class EncoderConfig:
             raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
         if self.causal and self.depth_video is DepthVideo.ON:
             raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
+        if self.causal and self.color_video is ColorVideo.ON:
+            raise ConfigError("a live stream cannot have a colour video; leave out --color-video on or --preset live")
         if self.batch_frames is not None and self.batch_frames < 1:
             raise ConfigError(f"group of {self.batch_frames} frames must have at least one frame")
         if self.threads < 1:
@@ -384,6 +343,7 @@ def with_preset(config: EncoderConfig, preset: Preset) -> EncoderConfig:
         config,
         refine=preset is not Preset.FAST,
         appearance=replace(config.appearance, rounds=ROUNDS[preset]),
+        video=replace(config.video, preset=VIDEO_PRESETS[preset]),
     )
 
 
@@ -397,8 +357,8 @@ class RenderConfig:
         Rays per pixel side for colour, or None for 2 on small pictures and 1 on large ones.
     filter_parts
         Where the stream's filter of pictures is applied.
-    captured_depth
-        Whether depth as it was captured stands for that of the models, where the stream has a video of it.
+    captured_depth, captured_color
+        Whether depth and colour as they were captured stand for those of the models, where the stream has a video.
     threads
         Number of threads; pictures do not depend on it.
     """
@@ -406,6 +366,7 @@ class RenderConfig:
     supersample: int | None = None
     filter_parts: FilterParts = FilterParts.ALL
     captured_depth: bool = True
+    captured_color: bool = True
     threads: int = field(default_factory=default_threads)
 
     def __post_init__(self) -> None:

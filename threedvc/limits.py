@@ -12,6 +12,7 @@ from typing import Final
 
 __all__ = [
     "MAX_BATCH_PACKETS",
+    "MAX_COLOR_VIDEO_SAMPLES",
     "MAX_COUNT",
     "MAX_DEPTH_SAMPLES",
     "MAX_EXPANSION",
@@ -20,6 +21,7 @@ __all__ = [
     "MAX_HEADER_DEPTH",
     "MAX_HEADER_ITEMS",
     "MAX_INDEX_ENTRIES",
+    "MAX_MAGNIFICATION",
     "MAX_OBJECT_ID",
     "MAX_PAYLOAD_BYTES",
     "MAX_RELIEF_BITS",
@@ -69,10 +71,16 @@ MAX_TEXTURE_BITS: Final = 2
 """Binary logarithm of the number of texels along an edge of a cell."""
 
 MAX_VIDEO_SIDE: Final = 4096
-"""Columns or rows of a depth video."""
+"""Columns or rows of a video."""
 
 MAX_DEPTH_SAMPLES: Final = 1 << 20
 """Samples of a depth picture."""
+
+MAX_COLOR_VIDEO_SAMPLES: Final = 1 << 31
+"""Samples of luma in all colour videos of a BATCH; they are decoded one picture at a time."""
+
+MAX_MAGNIFICATION: Final = 12
+"""By how many quarters chroma of a colour video may be magnified."""
 
 MAX_SEQUENCE_SAMPLES: Final = 1 << 26
 """Samples of all pictures of a run that are predicted from each other."""

@@ -9,14 +9,23 @@ from dataclasses import dataclass, field, replace
 
 from threedvc.formats.container import FILE_HEAD_BYTES, Record
 from threedvc.stream.header_reader import read_header
-from threedvc.stream.headers import BatchHeader, ClockHeader, DepthHeader, Header, ModelHeader, ObjectHeader, PoseHeader
+from threedvc.stream.headers import (
+    BatchHeader,
+    ClockHeader,
+    ColorVideoHeader,
+    DepthHeader,
+    Header,
+    ModelHeader,
+    ObjectHeader,
+    PoseHeader,
+)
 from threedvc.stream.packets import Packet, type_name
 
 __all__ = ["ByteCounts", "PacketTotal"]
 
 READ_TYPES = frozenset(
     header_type.packet_type
-    for header_type in (BatchHeader, ClockHeader, DepthHeader, ModelHeader, ObjectHeader, PoseHeader)
+    for header_type in (BatchHeader, ClockHeader, ColorVideoHeader, DepthHeader, ModelHeader, ObjectHeader, PoseHeader)
 )
 """Types of packets whose header tells of which frames or object their bytes are; all others follow the one before."""
 
@@ -100,7 +109,7 @@ class ByteCounts:
         return sizes
 
     def _share(self, header: Header | None, size: int) -> _Share:
-        if isinstance(header, BatchHeader | ClockHeader | PoseHeader):
+        if isinstance(header, BatchHeader | ClockHeader | ColorVideoHeader | PoseHeader):
             return _Share(header.frame, header.count, size)
         if isinstance(header, ModelHeader | DepthHeader):
             return _Share(header.frame, 1, size)

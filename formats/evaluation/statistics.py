@@ -158,7 +158,7 @@ def _opened(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def _report(file: BinaryIO, name: str) -> tuple[StreamStatistics, Decoder]:
-    byte_counts, decoder, timeline = ByteCounts(), Decoder(captured_depth=False), StreamTimeline()
+    byte_counts, decoder, timeline = ByteCounts(), Decoder(captured_depth=False, captured_color=False), StreamTimeline()
     detectors: dict[int, VisibilityDetector] = {}
     packets = byte_counts.counted(StreamReader(file, name).records())
     with suppress(TruncatedStream), errors_named(name):

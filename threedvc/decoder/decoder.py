@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from threedvc.decoder.decoder_state import DecoderState
+from threedvc.decoder.decoder_state import DecoderState, WantedVideos
 from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.packet_handlers import changes_by_frame
 from threedvc.decoder.stream_notes import StreamNotes
@@ -32,8 +32,8 @@ class Decoder:
 
     Parameters
     ----------
-    captured_depth
-        Whether depth as captured is wanted; it needs AVIF.
+    captured_depth, captured_color
+        Whether depth and colour as captured are wanted; they need AVIF and AV1.
 
     Attributes
     ----------
@@ -41,9 +41,9 @@ class Decoder:
         Whether END came and its digest was right.
     """
 
-    def __init__(self, *, captured_depth: bool = True) -> None:
+    def __init__(self, *, captured_depth: bool = True, captured_color: bool = True) -> None:
         self.complete = False
-        self._captured_depth = captured_depth
+        self._wanted = WantedVideos(captured_depth, captured_color)
         self._notes = StreamNotes()
         self._state: DecoderState | None = None
 
@@ -72,6 +72,11 @@ class Decoder:
     def frame_count(self) -> int:
         """Frames that the stream has conveyed so far."""
         return 0 if self._state is None else self._state.frame_count
+
+    @property
+    def unread_codec(self) -> int | None:
+        """The number of the codec of a colour video that was wanted and cannot be decoded here; else None."""
+        return None if self._state is None else self._state.unread_codec
 
     @property
     def report(self) -> StreamReport:
@@ -116,7 +121,7 @@ class Decoder:
         if self._state is not None:
             raise CorruptStream("the stream has two STREAM packets")
         check_supported(header)
-        self._state = DecoderState(header, self._notes, captured_depth=self._captured_depth)
+        self._state = DecoderState(header, self._notes, self._wanted)
 
     def _begun(self, what: str) -> DecoderState:
         """Return the state that STREAM has begun, which something else needs."""

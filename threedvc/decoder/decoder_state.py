@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,14 @@ from threedvc.stream.headers import ObjectHeader, SensorHeader, SensorRunHeader,
 from threedvc.stream.notes.color_times import ColorTimes
 from threedvc.stream.sensor_order import Cycle, SensorSchedule
 
-__all__ = ["DecoderState", "ObjectState"]
+__all__ = ["DecoderState", "ObjectState", "WantedVideos"]
+
+
+class WantedVideos(NamedTuple):
+    """Whether depth and colour as captured are wanted."""
+
+    depth: bool
+    color: bool
 
 
 @dataclass(kw_only=True, eq=False)
@@ -56,8 +64,8 @@ class DecoderState:
         The STREAM header.
     notes
         What META packets tell; more may come.
-    captured_depth
-        Whether depth as captured is wanted.
+    wanted
+        Which pictures as captured are wanted.
 
     Attributes
     ----------
@@ -69,17 +77,20 @@ class DecoderState:
         Which sensor takes the next frames.
     frame_count, frame_set_count
         How many frames the stream has conveyed so far, and at how many moments these were taken.
+    unread_codec
+        Number of the codec of a colour video that was wanted and cannot be decoded here, or None.
     run_ends
         Number of the frame, or moment, after the last one that a run of packets has conveyed, by name of run.
     """
 
-    def __init__(self, header: StreamHeader, notes: StreamNotes, *, captured_depth: bool) -> None:
-        self.header, self.notes, self.captured_depth = header, notes, captured_depth
+    def __init__(self, header: StreamHeader, notes: StreamNotes, wanted: WantedVideos) -> None:
+        self.header, self.notes, self.wanted = header, notes, wanted
         self.sensors = [SensorState(header, self._new_pose_coder())]
         self.objects: dict[int, ObjectState] = {}
         self.schedule = SensorSchedule()
         self.frame_count = self.frame_set_count = 0
         self.run_ends: dict[str, int] = {}
+        self.unread_codec: int | None = None
         self._new_background_image: NDArray[np.uint8] | None = None
         self._backdrop: BackgroundImage | None = None
         self._filters: PostFilter | None = None
@@ -176,6 +187,7 @@ class DecoderState:
             lights=self._lights(),
             filters=self._filters,
             captured_depth=sensor.take_captured_depth(),
+            captured_color=sensor.take_captured_color(),
         )
 
     def _pose_of_rig(self) -> Pose:

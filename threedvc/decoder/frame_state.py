@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.coding.video.planes import CapturedColor
 from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.model.post_filter import PostFilter
 from threedvc.render.captured_depth import CapturedDepth
@@ -45,8 +46,8 @@ class FrameState:
         Light on objects, by number.
     filters
         Filter of the colour picture as captured, or None.
-    captured_depth
-        Depth that stands for the drawn one in the frame as captured, or None.
+    captured_depth, captured_color
+        Depth and colour that stand for the drawn ones in the frame as captured, or None.
     """
 
     index: int
@@ -62,6 +63,7 @@ class FrameState:
     lights: Mapping[int, Light]
     filters: PostFilter | None
     captured_depth: CapturedDepth | None
+    captured_color: CapturedColor | None = None
     color_timestamp_ns: int | None = None
 
 

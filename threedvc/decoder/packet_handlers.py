@@ -21,17 +21,21 @@ from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
+from threedvc.coding.video.av1 import can_decode_av1, decode_av1
+from threedvc.coding.video.planes import CapturedColor, Planes, VideoFormat
 from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
 from threedvc.decoder.decoder_state import DecoderState
+from threedvc.decoder.sensor_state import SensorState
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.geometry.pose import Pose
-from threedvc.limits import MAX_COUNT, MAX_SEQUENCE_SAMPLES
+from threedvc.limits import MAX_COLOR_VIDEO_SAMPLES, MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
 from threedvc.stream.batch import Member
 from threedvc.stream.headers import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
+    ColorVideoHeader,
     DepthHeader,
     FilterHeader,
     GainHeader,
@@ -46,7 +50,7 @@ from threedvc.stream.headers import (
     TextureHeader,
     VideoHeader,
 )
-from threedvc.stream.packets import PacketType
+from threedvc.stream.packets import PacketType, VideoCodec
 from threedvc.stream.wire import ByteReader
 
 __all__ = ["Change", "changes_by_frame"]
@@ -86,10 +90,11 @@ def _check_pose_count(members: Iterable[Member]) -> None:
 
 
 def _check_videos(members: Iterable[Member]) -> None:
-    videos = (header for _, header in members if isinstance(header, VideoHeader))
-    samples = sum(video.count * video.columns * video.rows for video in videos)
-    if samples > MAX_SEQUENCE_SAMPLES:
-        raise LimitExceeded(f"a BATCH holds videos of {samples} samples, at most {MAX_SEQUENCE_SAMPLES} are accepted")
+    for kind, most in ((VideoHeader, MAX_SEQUENCE_SAMPLES), (ColorVideoHeader, MAX_COLOR_VIDEO_SAMPLES)):
+        videos = (header for _, header in members if isinstance(header, kind))
+        samples = sum(video.count * video.columns * video.rows for video in videos)
+        if samples > most:
+            raise LimitExceeded(f"a BATCH holds videos of {samples} samples, at most {most} are accepted")
 
 
 def _changes_of(member: Member, state: DecoderState, timeline: BatchTimeline) -> Iterable[FrameChange]:
@@ -201,13 +206,36 @@ def _captured_depth(
 ) -> Iterator[FrameChange]:
     sensor = state.sensor(header)
     run = timeline.convey("VIDEO", header)
-    if not state.captured_depth:
+    if not state.wanted.depth:
         return
     pictures = decode_sequence(payload, header.count, header.columns, header.rows)
     levels = depth_levels(header.nearest_m, header.ratio)
     for frame, samples in zip(run.frames, pictures, strict=True):
         depth = CapturedDepth(samples=samples, levels=levels, complete=header.complete)
         yield frame, partial(sensor.set_captured_depth, depth)
+
+
+def _captured_color(
+    state: DecoderState, timeline: BatchTimeline, header: ColorVideoHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("COLOR_VIDEO", header)
+    if not state.wanted.color:
+        return
+    if header.codec != VideoCodec.AV1 or not can_decode_av1():
+        state.unread_codec = header.codec
+        return
+    video = VideoFormat(
+        width=header.columns, height=header.rows, bits=header.bits, magnified=header.magnified, grey=sensor.header.grey
+    )
+    pictures = decode_av1(payload, header.count, video)
+    for frame in run.frames:
+        yield frame, partial(_show_next, sensor, pictures, video)
+
+
+def _show_next(sensor: SensorState, pictures: Iterator[Planes], video: VideoFormat) -> None:
+    """Decode the next picture of a run; all of them at once might not fit into memory."""
+    sensor.set_captured_color(CapturedColor(planes=next(pictures), video=video))
 
 
 def _backdrop(
@@ -261,6 +289,7 @@ HANDLERS: Final[dict[type[Header], Handler]] = dict(
         _entry(GainHeader, _gains),
         _entry(ClockHeader, _clock),
         _entry(VideoHeader, _captured_depth),
+        _entry(ColorVideoHeader, _captured_color),
         _entry(BackdropHeader, _backdrop),
         _entry(FilterHeader, _filters),
         _entry(LightHeader, _light),

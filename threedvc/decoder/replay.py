@@ -58,8 +58,8 @@ class ReplayedFrame(NamedTuple):
 def replay(
     packets: Iterable[Packet], threads: int, wanted: Callable[[FrameState], bool] = lambda state: True
 ) -> Iterator[ReplayedFrame]:
-    """Decode packets, without depth as captured, and yield the frames that are wanted, as a decoder will draw them."""
-    decoder, drawable = Decoder(captured_depth=False), DrawableModels(threads)
+    """Decode packets and yield the frames that are wanted, as a decoder will draw their models."""
+    decoder, drawable = Decoder(captured_depth=False, captured_color=False), DrawableModels(threads)
     renderers: dict[int, Renderer] = {}
     for state in decoder.frames(packets):
         if not wanted(state):

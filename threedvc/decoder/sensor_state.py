@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.poses import PoseCoder
+from threedvc.coding.video.planes import CapturedColor
 from threedvc.geometry.pose import Pose, identity
 from threedvc.render.captured_depth import CapturedDepth
 from threedvc.stream.headers import SensorHeader, StreamHeader
@@ -45,6 +46,7 @@ class SensorState:
         self.shift, self.gain = identity(), NEUTRAL
         self._correction_ns = 0
         self._captured_depth: CapturedDepth | None = None
+        self._captured_color: CapturedColor | None = None
 
     def set_shift(self, T_shifted_camera: Pose) -> None:
         """Place the depth camera for colour pictures, from the next frame on."""
@@ -62,6 +64,10 @@ class SensorState:
         """Let a depth picture stand for the drawn one in the next frame alone."""
         self._captured_depth = depth
 
+    def set_captured_color(self, color: CapturedColor) -> None:
+        """Let a colour picture stand for the drawn one in the next frame alone."""
+        self._captured_color = color
+
     def take_time_ns(self) -> int:
         """Return the time of its next frame, whose correction is then used up."""
         header = self.header
@@ -73,3 +79,8 @@ class SensorState:
         """Return the depth of its next frame, if there is a video of it, which is then used up."""
         depth, self._captured_depth = self._captured_depth, None
         return depth
+
+    def take_captured_color(self) -> CapturedColor | None:
+        """Return the colour of its next frame, if there is a video of it, which is then used up."""
+        color, self._captured_color = self._captured_color, None
+        return color

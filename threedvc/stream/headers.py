@@ -10,6 +10,7 @@ from threedvc.errors import CorruptStream, UnsupportedVersion
 from threedvc.limits import (
     MAX_COUNT,
     MAX_FRAME,
+    MAX_MAGNIFICATION,
     MAX_OBJECT_ID,
     MAX_RELIEF_BITS,
     MAX_SENSORS,
@@ -26,6 +27,7 @@ __all__ = [
     "BackdropHeader",
     "BatchHeader",
     "ClockHeader",
+    "ColorVideoHeader",
     "DepthHeader",
     "EndHeader",
     "FilterHeader",
@@ -341,6 +343,31 @@ class VideoHeader(SensorRunHeader):
     nearest_m: float = key("z", number(1e-6, 1e6))
     ratio: float = key("r", number(1, 1.2))
     complete: bool = key("c", flag(), default=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorVideoHeader(SensorRunHeader):
+    """Colour as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    columns, rows
+        Size of its pictures, which cover those of the colour camera.
+    codec
+        What its pictures are coded by, see `VideoCodec`.
+    bits
+        Of a sample.
+    magnified
+        Chroma is 1 + magnified/4 times as large as it is by its formula.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.COLOR_VIDEO
+
+    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
+    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
+    codec: int = key("c", integer(1, 255), default=1)
+    bits: int = key("b", integer(8, 16), default=10)
+    magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,16 @@ from typing import Any
 
 from threedvc.errors import UnsupportedVersion
 
-__all__ = ["RESERVED_TYPES", "TOP_LEVEL_TYPES", "Packet", "PacketFlag", "PacketType", "is_understood", "type_name"]
+__all__ = [
+    "RESERVED_TYPES",
+    "TOP_LEVEL_TYPES",
+    "Packet",
+    "PacketFlag",
+    "PacketType",
+    "VideoCodec",
+    "is_understood",
+    "type_name",
+]
 
 
 class PacketType(IntEnum):
@@ -43,6 +52,13 @@ class PacketType(IntEnum):
     SENSOR = 21
     ORDER = 22
     VIDEO = 23
+    COLOR_VIDEO = 24
+
+
+class VideoCodec(IntEnum):
+    """What pictures of a COLOR_VIDEO are coded by."""
+
+    AV1 = 1
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""AV1 data as a payload: one sequence header and the frames, without what follows from these.
+
+Units of AV1 data (open bitstream units) are a first byte, a size and a body. What kind a unit is follows here from its
+place and its first bits, and where pictures end from the frames that are shown. Sections are those of the AV1
+bitstream specification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from threedvc.errors import CorruptStream
+from threedvc.stream.wire import ByteReader, pack_varint
+
+__all__ = ["SequenceFormat", "pack_units", "read_sequence_header", "unpack_units"]
+
+SEQUENCE_HEADER, TEMPORAL_DELIMITER, FRAME, FRAME_HEADER = 0x0A, 0x12, 0x32, 0x1A
+"""First bytes of units: the kind, and that the size follows (sec. 5.3.2)."""
+SHOWS_EARLIER, SHOWN = 0x80, 0x10
+"""Bits of a frame's first byte. What only shows an earlier frame is a frame header without a frame (sec. 5.9.2)."""
+PLAIN_BITS = 24
+"""Of a sequence header: profile, still picture, timing, delays and operating points, all 0 in what is written here."""
+MAX_UNTIERED_LEVEL = 7
+"""Levels above are followed by a bit for the tier."""
+SELECTED = 2
+"""What a tool is set to if each frame tells whether it uses it."""
+
+
+class SequenceFormat(NamedTuple):
+    """What a sequence header says of the pictures.
+
+    Attributes
+    ----------
+    width, height
+        Size.
+    bits
+        Of a sample: 8 or 10.
+    grey
+        Whether there is luma alone; else chroma has half the rows and columns.
+    grain
+        Whether a decoder is to add noise, which no two do alike.
+    """
+
+    width: int
+    height: int
+    bits: int
+    grey: bool
+    grain: bool
+
+
+class _Bits:
+    """Reads bits, the highest of each byte first."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._place = data, 0
+
+    def take(self, count: int) -> int:
+        """Return the next bits as a number."""
+        if self._place + count > 8 * len(self._data):
+            raise CorruptStream("the sequence header of a video is cut short; the stream is damaged")
+        value = 0
+        for _ in range(count):
+            value = value << 1 | self._data[self._place >> 3] >> (7 - self._place % 8) & 1
+            self._place += 1
+        return value
+
+
+def pack_units(packets: Iterable[bytes]) -> bytes:
+    """Return the payload of what an encoder wrote: packets of whole units with their sizes.
+
+    Raises
+    ------
+    ValueError
+        If there are units of a kind that a payload cannot hold, or other headers than one.
+    """
+    headers, frames = set(), []
+    for packet in packets:
+        reader = ByteReader(packet)
+        while reader.remaining:
+            kind = reader.take(1)[0]
+            body = reader.take(reader.varint())
+            if kind == SEQUENCE_HEADER:
+                headers.add(body)
+            elif kind in (FRAME, FRAME_HEADER) and (kind == FRAME_HEADER) == bool(body[0] & SHOWS_EARLIER):
+                frames.append(body)
+            elif kind != TEMPORAL_DELIMITER:
+                raise ValueError(f"a unit 0x{kind:02x} of AV1 data cannot stand in a payload")
+    if len(headers) != 1:
+        raise ValueError(f"a run of pictures has {len(headers)} sequence headers; it must have one")
+    return b"".join(pack_varint(len(body) - 1) + body for body in [*headers, *frames])
+
+
+def unpack_units(payload: bytes) -> tuple[bytes, list[bytes]]:
+    """Return the sequence header's body, and for every picture in turn its units as a decoder takes them.
+
+    The header stands before the first picture's. Sizes in AV1 data are written as varints are (leb128).
+
+    Raises
+    ------
+    CorruptStream
+        If units are cut short, there is none, or a frame at the end is not shown.
+    """
+    header, *frames = _bodies(payload)
+    pictures, units = [], [_unit(SEQUENCE_HEADER, header)]
+    for frame in frames:
+        units.append(_unit(FRAME_HEADER if frame[0] & SHOWS_EARLIER else FRAME, frame))
+        if frame[0] & (SHOWS_EARLIER | SHOWN):
+            pictures.append(b"".join(units))
+            units = []
+    if units:
+        raise CorruptStream("a video ends with a frame that is not shown; the stream is damaged")
+    return header, pictures
+
+
+def _bodies(payload: bytes) -> list[bytes]:
+    """Return what units hold: at least one, and none empty."""
+    reader = ByteReader(payload)
+    bodies: list[bytes] = []
+    try:
+        while reader.remaining or not bodies:
+            bodies.append(reader.take(reader.varint() + 1))
+    except CorruptStream as error:
+        raise CorruptStream(f"a video is incomplete: {error}; the stream is damaged") from None
+    return bodies
+
+
+def _unit(kind: int, body: bytes) -> bytes:
+    return bytes([kind]) + pack_varint(len(body)) + body
+
+
+def read_sequence_header(body: bytes) -> SequenceFormat:
+    """Return what a sequence header tells of the pictures (sec. 5.5).
+
+    Raises
+    ------
+    CorruptStream
+        If it is cut short, or not of the plain kind: profile 0, one operating point, no timing.
+    """
+    bits = _Bits(body)
+    if bits.take(PLAIN_BITS):
+        raise CorruptStream("a video is of an unknown make; the stream is damaged")
+    if bits.take(5) > MAX_UNTIERED_LEVEL:
+        bits.take(1)
+    across, down = bits.take(4) + 1, bits.take(4) + 1
+    width, height = bits.take(across) + 1, bits.take(down) + 1
+    _pass_tools(bits)
+    high, grey = bits.take(1), bits.take(1)
+    if bits.take(1):  # primaries, transfer and matrix, which mean nothing here
+        bits.take(24)
+    bits.take(1)  # range
+    if not grey:
+        bits.take(3)  # place of chroma, separate steps
+    return SequenceFormat(width, height, 10 if high else 8, bool(grey), bool(bits.take(1)))
+
+
+def _pass_tools(bits: _Bits) -> None:
+    """Pass over what a sequence header says of the tools of coding, between sizes and samples."""
+    if bits.take(1):  # numbers of frames
+        bits.take(7)
+    bits.take(7)  # superblocks, filters, compounds, warps
+    ordered = bits.take(1)
+    if ordered:
+        bits.take(2)
+    screen_content = SELECTED if bits.take(1) else bits.take(1)
+    if screen_content and not bits.take(1):
+        bits.take(1)
+    if ordered:
+        bits.take(3)
+    bits.take(3)  # super-resolution, CDEF, restoration
