@@ -121,12 +121,13 @@ class DecodedStream:
         shown = [rig if size is None else rig.resized(*size) for rig in rigs]
         self._sensor = 0 if sensor is None and camera_path is not None else sensor
         self._same_picture = camera_path is None and all(_same_size(*pair) for pair in zip(rigs, shown, strict=True))
-        as_filmed = objects is None and camera_path is None
+        self._as_filmed = objects is None and camera_path is None
         self.decoder = Decoder(
-            captured_depth=render.captured_depth and "depth" in what and as_filmed,
-            captured_color=render.captured_color and "color" in what and as_filmed and self._same_picture,
+            captured_depth=render.captured_depth and "depth" in what and self._as_filmed,
+            captured_color=render.captured_color and "color" in what,
         )
         self._renderers = [Renderer(rig, render) for rig in shown]
+        self._filming = [Renderer(rig, render) for rig in rigs]
         self._drawable = DrawableModels(render.threads)
         self.infos = tuple(_info(header, rig, what) for header, rig in zip(headers, shown, strict=True))
 
@@ -152,6 +153,7 @@ class DecodedStream:
             for state in self.decoder.frames(chain(self._heads, self._packets)):
                 if stop is not None and min(seen.values()) >= stop:
                     return
+                self._gather_colors(state)
                 if state.sensor not in seen:
                     continue
                 seen[state.sensor] = state.number + 1
@@ -159,6 +161,16 @@ class DecodedStream:
                     yield self._draw(state)
         if first >= max(seen.values()):
             raise ConfigError(f"frame {first} is beyond the stream, which has {max(seen.values())} frames")
+
+    def _gather_colors(self, state: FrameState) -> None:
+        """Colour the models by what a picture of a colour video shows, unless just such pictures are wanted."""
+        if state.captured_color is None or (self._as_filmed and self._same_picture):
+            return
+        renderer = self._filming[state.sensor]
+        camera = renderer.rig.color
+        picture = state.captured_color.shown(camera.width, camera.height, renderer.config.threads)
+        models = self._drawable.refreshed(self.decoder.models, state.T_camera_object)
+        renderer.gather_colors(models, state.T_camera_object, picture, state.T_shifted_camera)
 
     def _draw(self, state: FrameState) -> DecodedFrame:
         T_world_camera, poses = state.T_world_camera, dict(state.T_camera_object)
@@ -192,10 +204,11 @@ class DecodedStream:
         renderer = self._renderers[state.sensor]
         shown = {number: pose for number, pose in poses.items() if self._shows(number)}
         as_captured = self._camera_path is None
+        as_filmed = state.captured_color if self._as_filmed and self._same_picture else None
         picture = renderer.draw(
             self._drawable.refreshed(self.decoder.models, shown),
             shown,
-            color="color" in self._what and state.captured_color is None,
+            color="color" in self._what and as_filmed is None,
             gain=apply_gain(state.gain) if as_captured else None,
             T_shifted_camera=state.T_shifted_camera if as_captured else None,
             backdrop=state.backdrop if self._objects is None or 0 in self._objects else None,
@@ -203,9 +216,9 @@ class DecodedStream:
             filters=state.filters if self._same_picture else None,
         )
         threads = renderer.config.threads
-        if state.captured_color is not None:
+        if as_filmed is not None:
             camera = renderer.rig.color
-            picture = replace(picture, color=state.captured_color.shown(camera.width, camera.height, threads))
+            picture = replace(picture, color=as_filmed.shown(camera.width, camera.height, threads))
         if state.captured_depth is not None:
             picture = replace(picture, depth=state.captured_depth.shown(picture.depth, threads))
         return picture

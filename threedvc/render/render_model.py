@@ -41,8 +41,8 @@ class RenderModel:
         return self.textures
 
     def color_grids(self) -> list[ColorGrid]:
-        """Return where to look a colour up, the finest first."""
-        return [*(texture.grid() for texture in self.textures), *self.model.color_grids()]
+        """Return where to look a colour up, the finest first: a model under a colour video has none of its own."""
+        return [texture.grid() for texture in self.textures] or self.model.color_grids()
 
     def refresh(self, threads: int) -> None:
         """Rebuild the blocks around everything that changed since the last call."""

@@ -126,7 +126,11 @@ class Renderer:
         )
 
     def gather_colors(
-        self, models: Mapping[int, RenderModel], poses: Mapping[int, Pose], picture: NDArray[np.uint8]
+        self,
+        models: Mapping[int, RenderModel],
+        poses: Mapping[int, Pose],
+        picture: NDArray[np.uint8],
+        T_shifted_camera: Pose,
     ) -> None:
         """Colour models by what a decoded picture shows of them.
 
@@ -138,9 +142,12 @@ class Renderer:
             T_camera_object of every object, for the depth camera when the picture was taken.
         picture
             (h, w, 3) uint8 RGB in the colour camera.
+        T_shifted_camera
+            Shift of the depth camera between depth and colour picture.
         """
         rays = self._pixel_rays()
-        moved = {number: compose(self.rig.T_color_depth, pose) for number, pose in poses.items()}
+        T_color_camera = compose(self.rig.T_color_depth, T_shifted_camera)
+        moved = {number: compose(T_color_camera, pose) for number, pose in poses.items()}
         depth, labels = self.cast(rays, models, moved)
         shape = picture.shape[:2]
         for number, pose in moved.items():

@@ -33,11 +33,16 @@ class VideoTexture:
     ----------
     texel_size_m
         Edge of a texel.
+
+    Attributes
+    ----------
+    index
+        Blocks of texels.
     """
 
     def __init__(self, texel_size_m: float) -> None:
         self.texel_size_m = texel_size_m
-        self._index = BlockIndex()
+        self.index = BlockIndex()
         self._gathered = _no_texels(0)
 
     def add(self, seen: SeenSurface, picture: NDArray[np.uint8], threads: int) -> None:
@@ -51,16 +56,16 @@ class VideoTexture:
         for_ranges(row_range, len(found), threads)
         if not found.any():
             return
-        self._index.insert(np.unique(texels[found] // BLOCK_SIDE, axis=0))
+        self.index.insert(np.unique(texels[found] // BLOCK_SIDE, axis=0))
         self._grow()
-        gather_colors(texels, found, picture, MAX_COUNT, self._index.tables, self._gathered)
+        gather_colors(texels, found, picture, MAX_COUNT, self.index.tables, self._gathered)
 
     def grid(self) -> ColorGrid:
         """Return the texels for the shading."""
-        return ColorGrid(self.texel_size_m, self._index.tables, self._gathered.known, self._gathered.colors)
+        return ColorGrid(self.texel_size_m, self.index.tables, self._gathered.known, self._gathered.colors)
 
     def _grow(self) -> None:
-        have, wanted = len(self._gathered.counts), self._index.count * BLOCK_CELLS
+        have, wanted = len(self._gathered.counts), self.index.count * BLOCK_CELLS
         if wanted > have:
             more = _no_texels(max(wanted, have * 3 // 2) - have)
             old = self._gathered
