@@ -77,6 +77,7 @@ class EncodeRequest(ReaderRequest):
     quality: int | None
     relief: int | None
     depth_video: str
+    color_video: str
     focus: tuple[RegionOfInterest, ...]
     causal: bool
     threads: int | None
@@ -111,7 +112,16 @@ class EncodeRequest(ReaderRequest):
 
     def configuration(self, sensors: int) -> EncoderConfig:
         """Return the encoder's choices for so many sensors; raises click.UsageError where options contradict."""
-        from threedvc.config import DepthVideo, EncoderConfig, Motion, Preset, Sensor, with_preset, with_quality
+        from threedvc.config import (
+            ColorVideo,
+            DepthVideo,
+            EncoderConfig,
+            Motion,
+            Preset,
+            Sensor,
+            with_preset,
+            with_quality,
+        )
         from threedvc.parallel import default_threads
 
         self._check(sensors)
@@ -125,6 +135,7 @@ class EncodeRequest(ReaderRequest):
             segmentation=self.segment,
             focus=self.focus,
             depth_video=DepthVideo(self.depth_video),
+            color_video=ColorVideo(self.color_video),
             threads=self.threads or default_threads(),
         )
         if self.quality is not None:
@@ -138,8 +149,9 @@ class EncodeRequest(ReaderRequest):
             raise click.UsageError("--bitrate and --quality contradict each other; give one of them")
         if self.causal and self.preset not in ("live", "medium"):
             raise click.UsageError(f"--causal and --preset {self.preset} contradict each other; give one of them")
-        if self.depth_video == "on" and (self.causal or self.preset == "live"):
-            raise click.UsageError("--depth-video on and --preset live contradict each other; give one of them")
+        for video, choice in (("--depth-video", self.depth_video), ("--color-video", self.color_video)):
+            if choice == "on" and (self.causal or self.preset == "live"):
+                raise click.UsageError(f"{video} on and --preset live contradict each other; give one of them")
         if len(self.sensor) not in (0, 1, sensors):
             raise click.UsageError(f"--sensor is given {len(self.sensor)} times; give it once, or once for each INPUT")
 

@@ -61,8 +61,11 @@ CHROMA_STEP = 1.75
 """Times the step of luma; by taste: the eye sees chroma less sharply."""
 ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
 """Of alignment, by preset. Measured on the kitchen (decision 0008): three give 0.5 dB, further ones 0.1 dB each."""
-MIN_CRF, MAX_CRF, MIDDLE_CRF = 1.0, 70.0, 45.0
-"""Quantisation of a video, from hardly visible to the coarsest that AV1 has, and at the middle quality."""
+MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 76.0, 56.0
+"""Coarseness of a video: the finest quantisation of AV1, the coarsest with pictures of half the size, and that of the
+middle quality, at which recordings of hand-held cameras have 33 dB and more."""
+COARSENESS_PER_QUALITY = 1.1
+"""By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32 to the coarsest."""
 VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
 """Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 three times as long for 7 % fewer
 bytes."""
@@ -203,18 +206,21 @@ class VideoConfig:
 
     Attributes
     ----------
-    crf
-        Quantisation of AV1, from 1 to 70 in quarters, the finest first; of no meaning with a rate.
+    coarseness
+        From 1, the finest, to 76 in quarters: quantisation of AV1 (its CRF), the last of them with smaller pictures;
+        about seven more halve the bytes. Of no meaning with a rate.
     preset
         Work of the encoder, the most at 0.
     """
 
-    crf: float = MIDDLE_CRF
+    coarseness: float = MIDDLE_COARSENESS
     preset: int = VIDEO_PRESETS["medium"]
 
     def __post_init__(self) -> None:
-        if not (MIN_CRF <= self.crf <= MAX_CRF and 4 * self.crf == int(4 * self.crf)):
-            raise ConfigError(f"quantisation {self.crf} of a video must be within {MIN_CRF}..{MAX_CRF}, in quarters")
+        if not (MIN_CRF <= self.coarseness <= MAX_COARSENESS and 4 * self.coarseness == round(4 * self.coarseness)):
+            raise ConfigError(
+                f"coarseness {self.coarseness:g} of a video must be within {MIN_CRF:g}..{MAX_COARSENESS:g}, in quarters"
+            )
         if not 0 <= self.preset <= 13:
             raise ConfigError(f"preset {self.preset} of a video must be within 0..13")
 
@@ -327,7 +333,13 @@ def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
         config,
         color=with_step(middle.luma_step * finer),
         cell_factor=2.0 ** ((MIDDLE_QUALITY - quality) / QUALITY_PER_CELL),
+        video=replace(config.video, coarseness=_coarseness(quality)),
     )
+
+
+def _coarseness(quality: int) -> float:
+    coarseness = MIDDLE_COARSENESS + COARSENESS_PER_QUALITY * (MIDDLE_QUALITY - quality)
+    return min(max(round(4 * coarseness) / 4, MIN_CRF), MAX_COARSENESS)
 
 
 def with_step(luma_step: float) -> ColorConfig:

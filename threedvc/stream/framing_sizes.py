@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 __all__ = [
+    "COLOR_VIDEO_FRAMING_BYTES",
     "FILE_HEAD_BYTES",
     "INDEX_ENTRY_BYTES",
     "MAX_BATCH_FRAMING_BYTES",
@@ -38,3 +39,5 @@ MAX_END_BYTES: Final = 112
 and some to spare."""
 VIDEO_FRAMING_BYTES: Final = 40
 """A usual VIDEO in a BATCH: a header of some 36 bytes tells its frames, its size and two depths; measured: 41."""
+COLOR_VIDEO_FRAMING_BYTES: Final = 24
+"""A usual COLOR_VIDEO in a BATCH: a header of some 18 bytes tells its frames and size; types and lengths take 6."""

@@ -9,7 +9,7 @@ pictures alone; when the frames are fused anew at these poses, `fit_appearance` 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,10 @@ from threedvc.encoder.tracking.pose_track import PoseTracks
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose
 
-__all__ = ["FittedAppearance", "align_pictures", "align_poses", "fit_appearance"]
+__all__ = ["FittedAppearance", "align_pictures", "align_poses", "fit_appearance", "fit_geometry"]
 
+COLORLESS = 128
+"""The grey of cells that have no colours of their own."""
 MIN_ALIGNMENT_SAVING = 0.02
 """Share of the squared error that other poses must save: exact ones are not to be moved by the noise of the fit."""
 
@@ -60,6 +62,8 @@ class FittedAppearance:
     pixels_per_cell
         How many pixels of a frame show a coloured cell, on an average over all frames; without those of a
         background that has a backdrop, unless there is nothing else.
+    colorless
+        Whether cells have no colours of their own: a video shows them.
     """
 
     surfaces: dict[int, Surface]
@@ -70,6 +74,7 @@ class FittedAppearance:
     depths: CodedDepthMap | None
     inferred: tuple[int, float] | None
     pixels_per_cell: float
+    colorless: bool = False
 
 
 def align_poses(scene: Scene, frames: FrameSequence, rounds: int) -> PoseTracks:
@@ -114,4 +119,24 @@ def fit_appearance(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] |
         depths=depths,
         inferred=None if completion is None else (completion.number, completion.voxel_size_m),
         pixels_per_cell=pixels_per_cell(state, without_background=backdrop is not None),
+    )
+
+
+def fit_geometry(scene: Scene, frames: FrameSequence) -> FittedAppearance:
+    """Return the surfaces that frames show, without colours, gains and shifts: a video stands for these."""
+    state = FitState(scene, frames)
+    drop_hidden_cells(state)
+    return FittedAppearance(
+        surfaces={
+            number: replace(surface, colors=np.full_like(surface.colors, COLORLESS))
+            for number, surface in state.surfaces.items()
+        },
+        colors=state.colors,
+        gains=state.gains,
+        shifts=[],
+        backdrop=None,
+        depths=background_depth_map(state),
+        inferred=None,
+        pixels_per_cell=0.0,
+        colorless=True,
     )

@@ -62,8 +62,10 @@ def choose_background(
     luma_step
         Step q that the quality of the image follows.
     """
-    if fitted is None or fitted.backdrop is None or not can_encode_pictures():
+    if fitted is None:
         return COLORED_CELLS
+    if fitted.backdrop is None or not can_encode_pictures():
+        return BackgroundChoice(depth_map=fitted.depths if fitted.colorless else None)
     price = 8 * luma_step**2 * np.log(2) / 6 * fitted.pixels_per_cell / object_weight(config.focus, 0)
     payload, image_cost = fitted.backdrop.best(price)
     size, picture = _drawn_cells(scene, config, fitted)

@@ -11,7 +11,8 @@ import numpy as np
 
 from threedvc.config import EncoderConfig, with_step
 from threedvc.encoder.appearance.rate_distortion import rate_distortion_at
-from threedvc.encoder.fusion.surface_extraction import extract_surface
+from threedvc.encoder.fusion.evidence_model import EvidenceModel
+from threedvc.encoder.fusion.surface_extraction import Surface, extract_surface
 from threedvc.encoder.pipeline.budget import stream_budget, surface_budget
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
 from threedvc.encoder.rate.rate_control import MIDDLE_STEP, best_cells, cell_factor
@@ -20,8 +21,16 @@ from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import DownsampledSequence, sampling_stride
 from threedvc.geometry.pose import Pose
 
-__all__ = ["surface_bytes", "with_affordable_cells", "with_best_cells", "with_relief_chosen"]
+__all__ = [
+    "surface_bytes",
+    "with_affordable_cells",
+    "with_affordable_geometry",
+    "with_best_cells",
+    "with_relief_chosen",
+]
 
+GEOMETRY_SHARE = 0.35
+"""Share of the bytes of surfaces that those without colours take at most, if a video shows the colours."""
 CHEAP = 0.1
 """Share of the bytes of surfaces that one bit of relief may add."""
 TRIAL_FRAMES = 100
@@ -33,19 +42,33 @@ MAX_CELL_FACTOR = 16
 """Cells wider or narrower than this many times the default tell nothing of a scene."""
 
 
-def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None) -> int:
+def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None, *, colored: bool = True) -> int:
     """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step.
 
-    Without `relief_bits` they have as many as the scene's choices say.
+    Without `relief_bits` they have as many as the scene's choices say, and unless `colored` no colours.
     """
     settings = color_settings(with_step(luma_step), scene.info.grey)
     bits = scene.config.appearance.relief_bits or 0 if relief_bits is None else relief_bits
     threads = scene.config.threads
     sizes = (
-        coded_size(extract_surface(item.evidence, threads, smooth=True), item.evidence.voxel_size_m, bits, settings)
+        coded_size(_surface(item.evidence, threads, colored), item.evidence.voxel_size_m, bits, settings)
         for item in scene.objects.values()
     )
     return sum(size for size, _ in sizes)
+
+
+def _surface(evidence: EvidenceModel, threads: int, colored: bool) -> Surface:
+    surface = extract_surface(evidence, threads, smooth=True)
+    return surface if colored else replace(surface, colors=np.zeros_like(surface.colors))
+
+
+def with_affordable_geometry(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
+    """Take wider cells if, without colours, they would take more of a bit rate than a video of these leaves."""
+    budget = surface_budget(state)
+    if budget is None:
+        return state
+    factor = cell_factor(surface_bytes(state.scene, MIDDLE_STEP, colored=False), GEOMETRY_SHARE * budget)
+    return state if factor <= 1 else _with_cells(state, fusion, factor)
 
 
 def with_affordable_cells(state: Reconstruction, fusion: FusionPass) -> Reconstruction:

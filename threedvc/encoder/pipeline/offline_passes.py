@@ -18,6 +18,7 @@ from threedvc.encoder.pipeline.budget import surface_budget
 from threedvc.encoder.pipeline.cell_size_trials import (
     surface_bytes,
     with_affordable_cells,
+    with_affordable_geometry,
     with_best_cells,
     with_relief_chosen,
 )
@@ -37,7 +38,7 @@ from threedvc.frames.frame import SequenceInfo
 from threedvc.geometry.pose import Pose, compose, inverse
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["check_regions_of_interest", "check_surfaces", "find_objects", "improve"]
+__all__ = ["check_regions_of_interest", "check_surfaces", "find_objects", "improve", "improve_geometry"]
 
 MAX_DEPTH_ROUNDS = 3
 """Rounds in which poses are registered with the depth: two are the rule."""
@@ -88,6 +89,18 @@ def improve(state: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, 
             state, shifts = _with_photometric_poses(state, fusion)
         state = with_best_cells(state, fusion, shifts)
     return with_relief_chosen(state), shifts
+
+
+def improve_geometry(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
+    """Choose cells, calibrate cameras and refine poses where pictures do not count: a video shows them."""
+    state = with_affordable_geometry(state, fusion)
+    if state.config.refine:
+        state = _with_extrinsics(state, fusion)
+        state = _with_color_calibration(state, fusion)
+        state = _with_closed_loops(state, fusion)
+        if state.config.appearance.rounds and state.scene.objects[0].may_move:
+            state, _, _ = _with_poses_of_depth(state, fusion)
+    return with_relief_chosen(state)
 
 
 def check_surfaces(state: Reconstruction) -> None:

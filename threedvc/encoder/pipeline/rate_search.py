@@ -15,7 +15,7 @@ from threedvc.encoder.rate.rate_control import CLOSE, MAX_STEP_RATIO, MIN_STEP, 
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.packets import Packet
 
-__all__ = ["rated_choices", "rated_stream"]
+__all__ = ["depth_videos", "rated_choices", "rated_stream"]
 
 
 def rated_choices(builder: StreamBuilder, filter_bytes: int = 0, videos: Sequence[Packet] = ()) -> StreamChoices:
@@ -48,7 +48,7 @@ def rated_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
     choices = rated_choices(builder, FILTER_BYTES)
     packets = builder.build(choices)
     budget = stream_budget(builder.state)
-    videos = _depth_videos(builder, packets, frames)
+    videos = depth_videos(builder, packets, frames)
     if videos:
         with_videos = rated_choices(builder, FILTER_BYTES, videos)
         captured = builder.build(with_videos)
@@ -67,7 +67,7 @@ def rated_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
     return packets
 
 
-def _depth_videos(builder: StreamBuilder, packets: Sequence[Packet], frames: FrameSequence) -> list[Packet]:
+def depth_videos(builder: StreamBuilder, packets: Sequence[Packet], frames: FrameSequence) -> list[Packet]:
     """Return VIDEO packets of depth that the models do not tell, if it is worth it."""
     state = builder.state
     mode = state.config.depth_video

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""The colour pictures of a scene's frames as video, in place of the models' colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import ceil, log2
+from typing import NamedTuple
+
+import numpy as np
+
+from threedvc.coding.video.av1 import Av1Settings, encode_av1
+from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_magnification
+from threedvc.config import MAX_COARSENESS, MIN_CRF
+from threedvc.encoder.reconstruction.scene import Scene
+from threedvc.frames.sequence import FrameSequence
+from threedvc.stream.framing_sizes import COLOR_VIDEO_FRAMING_BYTES
+from threedvc.stream.headers import ColorVideoHeader
+from threedvc.stream.packets import Packet
+
+__all__ = ["ColorVideoWriter", "PictureCoding", "picture_coding"]
+
+BITS = 10
+"""Of a sample, whatever the input has: sums are rounded less, for 2 % fewer bytes (decision 0030)."""
+SHRINKING = ((66.0, 1.0, 0.0), (70.0, 0.75, 2.0), (MAX_COARSENESS, 0.5, 6.0))
+"""Up to which coarseness pictures have which scale, and by how much finer these are quantised than it says: coarse
+quantisation loses more than a smaller picture of as many bytes (decision 0030)."""
+MIN_SIDE = 16
+"""No side of a picture is smaller, unless the camera's is; by hand."""
+HALVING = 7.0
+"""So much more coarseness halves the bytes, about: a first guess."""
+CLOSE = 0.97
+"""Share of a target from which a size is close enough: finer steps move it by 2 to 3 %."""
+MAX_TRIALS = 7
+"""Videos that a search codes at most; three or four are the rule."""
+QUARTERS = 4
+"""Steps of coarseness that are tried are a quarter: the encoder has no finer ones."""
+
+
+class PictureCoding(NamedTuple):
+    """Scale of the pictures, and their quantisation by AV1."""
+
+    scale: float
+    crf: float
+
+
+def picture_coding(coarseness: float) -> PictureCoding:
+    """Return how pictures are coded at a coarseness from `MIN_CRF` to `MAX_COARSENESS`."""
+    scale, finer = next((scale, finer) for most, scale, finer in SHRINKING if coarseness <= most)
+    return PictureCoding(scale, max(coarseness - finer, MIN_CRF))
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Frames of one sensor in a BATCH, and by how much their chroma is magnified."""
+
+    sensor: int
+    frames: list[int]
+    magnified: int
+
+
+class ColorVideoWriter:
+    """Codes the pictures of all frames.
+
+    Parameters
+    ----------
+    scene
+        The finished scene, of which sensors and choices count.
+    frames
+        Its frames.
+    batch_frames
+        Frames of a BATCH; no run of pictures crosses its end.
+    """
+
+    def __init__(self, scene: Scene, frames: FrameSequence, batch_frames: int) -> None:
+        self._scene, self._frames = scene, frames
+        self._runs = [self._run(*run) for run in self._numbers(batch_frames)]
+        self._coded: dict[float, list[Packet]] = {}
+
+    def packets(self, coarseness: float) -> list[Packet]:
+        """Return the COLOR_VIDEO packets at a coarseness, in the order of their frames."""
+        if coarseness not in self._coded:
+            self._coded[coarseness] = [self._packet(run, picture_coding(coarseness)) for run in self._runs]
+        return self._coded[coarseness]
+
+    def packets_within(self, budget_bytes: float) -> list[Packet]:
+        """Return the finest packets of at most so many bytes that a few trials find, or the coarsest there are."""
+        low, high = MIN_CRF, MAX_COARSENESS
+        coarseness, sizes = 60.0, dict[float, int]()
+        for _ in range(MAX_TRIALS):
+            size = sizes[coarseness] = video_bytes(self.packets(coarseness))
+            low, high = (coarseness, high) if size > budget_bytes else (low, coarseness)
+            if CLOSE * budget_bytes < size <= budget_bytes or high - low <= 1 / QUARTERS:
+                break
+            coarseness = _next_coarseness(sizes, budget_bytes, low, high)
+            if coarseness in sizes:
+                break
+        fitting = [each for each, size in sizes.items() if size <= budget_bytes]
+        return self.packets(min(fitting) if fitting else max(sizes))
+
+    def _numbers(self, batch_frames: int) -> Iterator[tuple[int, list[int]]]:
+        """Yield the sensor and the numbers of the frames of each run."""
+        records = self._scene.records
+        for first in range(0, len(records), batch_frames):
+            batch = range(first, min(first + batch_frames, len(records)))
+            for sensor in range(len(self._scene.info.rigs)):
+                own = [frame for frame in batch if records[frame].sensor == sensor]
+                if own:
+                    yield sensor, own
+
+    def _run(self, sensor: int, frames: list[int]) -> _Run:
+        if self._scene.info.grey:
+            return _Run(sensor, frames, 0)
+        return _Run(sensor, frames, min(spare_magnification(self._frames[frame].color) for frame in frames))
+
+    def _packet(self, run: _Run, coding: PictureCoding) -> Packet:
+        camera, config = self._scene.info.rigs[run.sensor].color, self._scene.config
+        columns, rows = (_scaled(side, coding.scale) for side in (camera.width, camera.height))
+        video = VideoFormat(width=columns, height=rows, bits=BITS, magnified=run.magnified, grey=self._scene.info.grey)
+        settings = Av1Settings(crf=coding.crf, preset=config.video.preset, threads=config.threads)
+        header = ColorVideoHeader(
+            frame=run.frames[0],
+            count=len(run.frames),
+            sensor=run.sensor,
+            columns=columns,
+            rows=rows,
+            bits=BITS,
+            magnified=run.magnified,
+        )
+        return header.packet(encode_av1(self._planes(run.frames, video), video, settings), critical=False)
+
+    def _planes(self, numbers: Sequence[int], video: VideoFormat) -> Iterator[Planes]:
+        return (planes_of(self._frames[number].color, video) for number in numbers)
+
+
+def video_bytes(packets: Sequence[Packet]) -> int:
+    """Return about how many bytes packets of a video take in a file."""
+    return sum(len(packet.payload) + COLOR_VIDEO_FRAMING_BYTES for packet in packets)
+
+
+def _scaled(side: int, scale: float) -> int:
+    return min(max(ceil(scale * side), MIN_SIDE), side)
+
+
+def _next_coarseness(sizes: dict[float, int], budget_bytes: float, low: float, high: float) -> float:
+    """Return where the bytes may be a little less than they may, between two bounds: by the two nearest trials."""
+    aim = log2(budget_bytes * (1 + CLOSE) / 2)
+    nearest = sorted(sizes, key=lambda each: abs(log2(sizes[each]) - aim))[:2]
+    slope = -1 / HALVING
+    if len(nearest) == 2 and sizes[nearest[0]] != sizes[nearest[1]]:
+        slope = (log2(sizes[nearest[0]]) - log2(sizes[nearest[1]])) / (nearest[0] - nearest[1])
+    guess = nearest[0] + (aim - log2(sizes[nearest[0]])) / min(slope, -1 / (4 * HALVING))
+    guess = round(QUARTERS * guess) / QUARTERS
+    between = float(np.clip(guess, low, high))
+    return between if between not in (low, high) or between not in sizes else round(2 * (low + high)) / QUARTERS

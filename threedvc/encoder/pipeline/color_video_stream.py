@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: MIT
+"""A stream whose colours are a video: models without colours, poses, and what is left of the bytes for pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from threedvc.encoder.packetizer.color_video import ColorVideoWriter
+from threedvc.encoder.pipeline.budget import stream_budget
+from threedvc.encoder.pipeline.rate_search import depth_videos
+from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
+from threedvc.encoder.rate.rate_control import stream_bytes
+from threedvc.frames.sequence import FrameSequence
+from threedvc.stream.packets import Packet
+
+__all__ = ["color_video_stream"]
+
+MIN_VIDEO_SHARE = 0.3
+"""Share of a stream of given rate that colours get at least, however much models and a depth video take; by hand."""
+
+
+def color_video_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
+    """Return all packets, with a video of colours, and one of depth where it is worth it."""
+    state = builder.state
+    writer = ColorVideoWriter(state.scene, frames, builder.batch_frames)
+    budget = stream_budget(state)
+    bare = _built(builder, ())
+
+    def colors(others: Sequence[Packet]) -> list[Packet]:
+        if budget is None:
+            return writer.packets(state.config.video.coarseness)
+        return writer.packets_within(max(budget - stream_bytes(others), MIN_VIDEO_SHARE * budget))
+
+    video = colors(bare)
+    packets = _built(builder, video)
+    depth = depth_videos(builder, packets, frames)
+    if not depth:
+        return packets
+    if budget is not None:
+        video = colors(_built(builder, depth))
+    captured = _built(builder, [*video, *depth])
+    return captured if budget is None or stream_bytes(captured) <= budget else packets
+
+
+def _built(builder: StreamBuilder, videos: Sequence[Packet]) -> list[Packet]:
+    return builder.build(StreamChoices(config=builder.state.config, videos=videos))
