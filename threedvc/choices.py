@@ -31,7 +31,7 @@ class DepthVideo(StrEnum):
 class ColorVideo(StrEnum):
     """Whether a file carries a video of the colour pictures in place of the models' colours.
 
-    AUTO: it does not, as yet. A live stream cannot have one.
+    AUTO: if the frames look better so at as many bytes. A live stream cannot have one.
     """
 
     AUTO = "auto"

@@ -66,6 +66,9 @@ MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 76.0, 56.0
 middle quality, at which recordings of hand-held cameras have 33 dB and more."""
 COARSENESS_PER_QUALITY = 1.1
 """By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32 to the coarsest."""
+VIDEO_QUALITY = 32
+"""The least with a colour video, the coarsest there is; below are models in their own colours, at the rates of the
+paper."""
 VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
 """Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 three times as long for 7 % fewer
 bytes."""
@@ -318,7 +321,8 @@ class EncoderConfig:
 def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
     """Return the choices for a quality of 1 to 100; 50 is the default.
 
-    Sixteen more halve the quantisation steps of colours, fifty more the edge of a cell.
+    Sixteen more halve the quantisation steps of colours, fifty more the edge of a cell. Below `VIDEO_QUALITY` there is
+    no colour video unless it is asked for.
 
     Raises
     ------
@@ -329,11 +333,13 @@ def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
         raise ConfigError(f"quality {quality} must be within 1..100")
     middle = ColorConfig()
     finer = 2.0 ** ((MIDDLE_QUALITY - quality) / QUALITY_PER_STEP)
+    too_low = quality < VIDEO_QUALITY and config.color_video is ColorVideo.AUTO
     return replace(
         config,
         color=with_step(middle.luma_step * finer),
         cell_factor=2.0 ** ((MIDDLE_QUALITY - quality) / QUALITY_PER_CELL),
         video=replace(config.video, coarseness=_coarseness(quality)),
+        color_video=ColorVideo.OFF if too_low else config.color_video,
     )
 
 

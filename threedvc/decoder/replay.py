@@ -56,10 +56,18 @@ class ReplayedFrame(NamedTuple):
 
 
 def replay(
-    packets: Iterable[Packet], threads: int, wanted: Callable[[FrameState], bool] = lambda state: True
+    packets: Iterable[Packet],
+    threads: int,
+    wanted: Callable[[FrameState], bool] = lambda state: True,
+    *,
+    as_captured: bool = False,
 ) -> Iterator[ReplayedFrame]:
-    """Decode packets and yield the frames that are wanted, as a decoder will draw their models."""
-    decoder, drawable = Decoder(captured_depth=False, captured_color=False), DrawableModels(threads)
+    """Decode packets and yield the frames that are wanted, as a decoder will draw their models.
+
+    Videos are left out unless depth and colour `as_captured` are wanted.
+    """
+    decoder = Decoder(captured_depth=as_captured, captured_color=as_captured)
+    drawable = DrawableModels(threads)
     renderers: dict[int, Renderer] = {}
     for state in decoder.frames(packets):
         if not wanted(state):

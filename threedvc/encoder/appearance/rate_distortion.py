@@ -20,7 +20,7 @@ from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose
 from threedvc.metrics.depth_errors import geman_mcclure_error
 
-__all__ = ["rate_distortion_at", "weighed_misfit"]
+__all__ = ["least_color_error", "rate_distortion_at", "weighed_misfit"]
 
 TRIAL_SAMPLES = 500_000
 """A quarter of those of the fit that counts: only one error is held against another."""
@@ -44,6 +44,13 @@ def rate_distortion_at(
     fit_colors(state)
     sizes, errors = zip(*(_coded(state, step) for step in TRIAL_STEPS), strict=True)
     return error_at(budget_bytes, sizes, errors) + weighed_misfit(_depth_misfit(state))
+
+
+def least_color_error(scene: Scene, frames: FrameSequence) -> float:
+    """Return the logarithm of the squared error of a quick fit of colours that cost nothing."""
+    state = FitState(scene, frames, None, TRIAL_SAMPLES)
+    fit_colors(state)
+    return log_color_error(state)
 
 
 def weighed_misfit(misfit: float) -> float:

@@ -6,13 +6,18 @@ from __future__ import annotations
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
 from threedvc.encoder.rate.rate_control import surface_budget as rate_surface_budget
 
-__all__ = ["stream_budget", "surface_budget"]
+__all__ = ["bits_per_second", "stream_budget", "surface_budget"]
 
 
 def stream_budget(state: Reconstruction) -> float | None:
     """Return the bytes that a stream may take at the bit rate asked for; None: as many as it needs."""
     rate = state.config.bitrate_bps
     return None if rate is None else rate * len(state.reports) / state.info.fps / 8
+
+
+def bits_per_second(state: Reconstruction, stream_bytes: int) -> float:
+    """Return the rate at which a stream takes so many bytes."""
+    return stream_bytes * 8 * state.info.fps / len(state.reports)
 
 
 def surface_budget(state: Reconstruction) -> float | None:

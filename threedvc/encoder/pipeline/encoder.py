@@ -14,19 +14,16 @@ from typing import cast
 from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import ColorVideo, DepthVideo, EncoderConfig
-from threedvc.encoder.appearance.appearance_fit import fit_appearance, fit_geometry
 from threedvc.encoder.packetizer.packetizer import Packetizer
-from threedvc.encoder.pipeline.color_video_stream import color_video_stream
+from threedvc.encoder.pipeline.color_choice import file_stream
 from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass, Reconstruction, fuse_frames
 from threedvc.encoder.pipeline.offline_passes import (
     check_regions_of_interest,
     check_surfaces,
     find_objects,
-    improve,
-    improve_geometry,
 )
-from threedvc.encoder.pipeline.rate_search import rated_choices, rated_stream
-from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices, batches, new_packetizer
+from threedvc.encoder.pipeline.rate_search import rated_choices
+from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices, batch_length, batches, new_packetizer
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
@@ -35,15 +32,6 @@ from threedvc.stream.notes.frame_report import FrameReport, OnFrame
 from threedvc.stream.packets import Packet
 
 __all__ = ["Encoder"]
-
-FILE_BATCH_S, LIVE_BATCH_S = 2, 1
-"""Seconds of a batch: of a file, where longer ones pack better and seeking stays quick; of a live stream, where a
-viewer waits for them."""
-VIDEO_BATCH_S = 10
-"""Seconds of a batch with a colour video: a picture that is not predicted takes as much as twenty others. Against two
-seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
-MAX_VIDEO_BATCH_SAMPLES = 1 << 27
-"""Pixels of such a batch: of 4 bits each they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
 
 
 class Encoder:
@@ -66,7 +54,7 @@ class Encoder:
         config = config or EncoderConfig()
         self._info = info
         self.state = Reconstruction(config=config, scene=Scene(info, config), reports=[])
-        self._batch_frames = config.batch_frames or _batch_frames(info, config)
+        self._batch_frames = batch_length(info, config)
 
     @property
     def scene(self) -> Scene:
@@ -125,17 +113,9 @@ class Encoder:
         check_regions_of_interest(self.state)
         if not self.state.has_depth:
             return self._without_fit()
-        if self.config.color_video is ColorVideo.ON:
-            return self._with_color_video(fusion)
-        self.state, shifts = improve(self.state, fusion)
-        fitted = fit_appearance(self.scene, fusion.frames, shifts)
-        return rated_stream(StreamBuilder(self.state, fitted, self._batch_frames), fusion.frames)
-
-    def _with_color_video(self, fusion: FusionPass) -> list[Packet]:
-        """Encode frames whose colours are a video."""
-        self.state = improve_geometry(self.state, fusion)
-        fitted = fit_geometry(self.scene, fusion.frames)
-        return color_video_stream(StreamBuilder(self.state, fitted, self._batch_frames), fusion.frames)
+        stream = file_stream(self.state, fusion)
+        self.state = stream.state
+        return stream.packets
 
     def _in_one_pass(self, frames: Iterable[Frame], reporter: FrameReporter) -> list[Packet]:
         """Encode frames that come once."""
@@ -168,11 +148,3 @@ class Encoder:
 
     def _live_packetizer(self) -> Packetizer:
         return new_packetizer(self.state, StreamChoices(config=self.config))
-
-
-def _batch_frames(info: SequenceInfo, config: EncoderConfig) -> int:
-    """Return how many frames make a batch unless somebody has said it."""
-    if config.causal or config.color_video is not ColorVideo.ON:
-        return max(1, round((LIVE_BATCH_S if config.causal else FILE_BATCH_S) * info.fps))
-    pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
-    return max(1, min(round(VIDEO_BATCH_S * info.fps), MAX_VIDEO_BATCH_SAMPLES // pixels))

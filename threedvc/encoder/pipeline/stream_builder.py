@@ -12,10 +12,20 @@ from threedvc.encoder.packetizer.background_choice import choose_background
 from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
 from threedvc.errors import SequenceError
+from threedvc.frames.frame import SequenceInfo
 from threedvc.model.post_filter import PostFilter
 from threedvc.stream.packets import Packet
 
-__all__ = ["StreamBuilder", "StreamChoices", "batches", "new_packetizer"]
+__all__ = ["StreamBuilder", "StreamChoices", "batch_length", "batches", "new_packetizer"]
+
+FILE_BATCH_S, LIVE_BATCH_S = 2, 1
+"""Seconds of a batch: of a file, where longer ones pack better and seeking stays quick; of a live stream, where a
+viewer waits for them."""
+VIDEO_BATCH_S = 10
+"""Seconds of a batch with a colour video: a picture that is not predicted takes as much as twenty others. Against two
+seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
+MAX_VIDEO_BATCH_SAMPLES = 1 << 27
+"""Pixels of such a batch: of 4 bits each they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +68,16 @@ def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: Fitted
     config = choices.config
     background = choose_background(state.scene, config, fitted, choices.background_step or config.color.luma_step)
     return Packetizer(state.scene, config, fitted, background, choices.post_filter, choices.videos)
+
+
+def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = False) -> int:
+    """Return the frames of a batch; `video` tells whether colours are a video."""
+    if config.batch_frames is not None:
+        return config.batch_frames
+    if not video:
+        return max(1, round((LIVE_BATCH_S if config.causal else FILE_BATCH_S) * info.fps))
+    pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
+    return max(1, min(round(VIDEO_BATCH_S * info.fps), MAX_VIDEO_BATCH_SAMPLES // pixels))
 
 
 def batches(
