@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 import threedvc
 import threedvc.encoder.pipeline.encoder as encoder_module
+from helpers.nonrigid_scene import nonrigid_sequence
+from helpers.streams import ListSequence
 from threedvc.cli.main import main
 from threedvc.coding.video.av1 import can_encode_av1
-from threedvc.config import ColorVideo, EncoderConfig, Motion, RenderConfig, VideoConfig
+from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion, RenderConfig, VideoConfig
 from threedvc.decoder import packet_handlers
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.verification import verified
@@ -24,6 +26,7 @@ from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
 from threedvc.formats.container import StreamReader, open_output
+from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import identity
 from threedvc.stream.batch import pack_batch, unpack_batch
 from threedvc.stream.headers import BatchHeader, ColorVideoHeader
@@ -196,6 +199,25 @@ def test_a_cut_stream_shows_its_complete_batches(path: Path, tmp_path: Path) -> 
         shown.extend(frame.color for frame in threedvc.decode(cut))
     whole = colors(path)
     np.testing.assert_array_equal(colors(path, frames=(3, 7)), whole[3:7])
+
+
+def test_every_sensor_has_a_video_of_its_own(sequence: SyntheticSequence, tmp_path: Path) -> None:
+    frames = [replace(frame, color=frame.color[:, ::-1].copy()) for frame in sequence]
+    merged = MergedSequence([sequence, ListSequence(frames, sequence.info)], [identity()])
+    path = written(list(Encoder(merged.info, CONFIG).packets(merged)), tmp_path / "two.3dvc")
+    for sensor, filmed in enumerate((sequence, frames)):
+        for got, frame in zip(colors(path, sensor=sensor), filmed, strict=True):
+            assert np.square(luma(got) - luma(frame.color)).mean() < 20
+
+
+def test_depth_that_bends_has_a_video_too(tmp_path: Path) -> None:
+    bent = nonrigid_sequence(4)
+    config = replace(CONFIG, voxel_size_m=None, depth_video=DepthVideo.ON)
+    for rate in (None, 200_000):
+        packets = list(Encoder(bent.info, replace(config, bitrate_bps=rate)).packets(bent))
+        kinds = {type_name(each.type) for each in members_of(packets)}
+        assert kinds >= {"VIDEO", "COLOR_VIDEO"}
+        assert rate is None or stream_bytes(packets) <= rate / 8 * 4 / bent.info.fps
 
 
 def test_what_cannot_have_a_video_says_so(sequence: SyntheticSequence, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,8 +80,8 @@ class ModelPackets:
             return DecodedModel(self._completed[number], guessed=True)
         if number == 0 and self._background.depth_map is not None:
             return DecodedModel(self._background.depth_map.voxel_size_m, relief_bits=RELIEF_BITS)
-        plain = self._fitted is None
-        scale, relief_bits = (1, 0) if plain else (appearance.texture_scale, appearance.relief_bits or 0)
+        relief_bits = 0 if self._fitted is None else appearance.relief_bits or 0
+        scale = 1 if self._fitted is None or self._fitted.colorless else appearance.texture_scale
         item = self._scene.objects[number]
         return DecodedModel(item.evidence.voxel_size_m, scale, relief_bits=relief_bits, passing=item.passing)
 
