@@ -115,7 +115,7 @@ def test_a_camera_that_comes_back_at_once_needs_no_part() -> None:
 @pytest.mark.parametrize("causal", [False, True])
 def test_the_stream_goes_on(causal: bool) -> None:
     numbers = [*FIRST, *[None] * COVERED, *ELSEWHERE[:6]]
-    settings = EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL, causal=causal, refine=False, voxel_size_m=0.04)
+    settings = EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL, causal=causal, refine=False, voxel_size_m=0.08)
     decoder, encoder = Decoder(), Encoder(INFO, settings)
     states = list(decoder.frames(encoder.packets(recording(*numbers))))
     assert decoder.complete
