@@ -21,8 +21,8 @@ from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle
 from threedvc.model.decoded_model import models_digest
-from threedvc.stream.notes.frame_report import FrameReport
 from threedvc.stream.headers import EndHeader, ModelHeader, StreamHeader
+from threedvc.stream.notes.frame_report import FrameReport
 from threedvc.stream.packets import PacketType
 
 pytestmark = pytest.mark.usefixtures("quick_av1")
