@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -21,11 +23,17 @@ SYNTHESIS, *OTHERS = [line.split("#")[0].strip() for line in re.findall(r"^3dvc 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the sequence of README.md, made smaller than there."""
+    """Return a folder with the sequence of README.md: fewer and smaller pictures, of a room a fifth as large."""
     place = tmp_path_factory.mktemp("readme")
-    arguments = ["synth", str(place / "room"), "--scene", "room", "--frames", "2", "--size", "80x60"]
+    arguments = ["synth", str(place / "room"), "--scene", "room", "--frames", "2", "--size", "48x36"]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
+    intrinsics, poses = place / "room" / "intrinsics.json", place / "room" / "poses.txt"
+    content = json.loads(intrinsics.read_text())
+    intrinsics.write_text(json.dumps({**content, "depth_scale": 5 * content["depth_scale"]}))
+    rows = np.loadtxt(poses)
+    rows[:, 1:4] /= 5
+    np.savetxt(poses, rows, fmt=["%d", *["%.9f"] * 7])
     return place
 
 

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -43,7 +46,16 @@ UPDATE = ModelUpdate(
     recolored=CELLS[7::50],
     recolored_colors=COLORS[7::50] + np.int16(70),
 )
-PAYLOAD, _ = encode_update_with_result(UPDATE, CELLS, COLORS, ColorSettings(luma_step=10, chroma_step=20))
+
+
+@cache
+def update_payload() -> bytes:
+    return encode_update_with_result(UPDATE, CELLS, COLORS, ColorSettings(luma_step=10, chroma_step=20))[0]
+
+
+def places(payload: Callable[[], bytes]) -> st.SearchStrategy[int]:
+    """Draw a place in a payload, which is made once a test asks for it."""
+    return st.deferred(lambda: st.integers(0, len(payload()) - 1))
 
 
 def decode_lawfully(payload: bytes, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> None:
@@ -68,16 +80,16 @@ def test_random_bytes(payload: bytes) -> None:
     decode_lawfully(payload, CELLS, COLORS)
 
 
-@given(st.integers(0, len(PAYLOAD) - 1), st.integers(1, 255))
+@given(places(update_payload), st.integers(1, 255))
 def test_changed_byte(position: int, change: int) -> None:
-    damaged = bytearray(PAYLOAD)
+    damaged = bytearray(update_payload())
     damaged[position] ^= change
     decode_lawfully(bytes(damaged), CELLS, COLORS)
 
 
-@given(st.integers(0, len(PAYLOAD) - 1))
+@given(places(update_payload))
 def test_cut_payload(length: int) -> None:
-    decode_lawfully(PAYLOAD[:length], CELLS, COLORS)
+    decode_lawfully(update_payload()[:length], CELLS, COLORS)
 
 
 @given(st.integers(1, 255), st.integers(0, 60))
@@ -95,7 +107,10 @@ def bare_model() -> DecodedModel:
     return model
 
 
-RELIEF = encode_relief(bare_model(), np.random.default_rng(1).uniform(-0.6, 0.6, (len(CELLS), 3)).astype(np.float32))
+@cache
+def relief_payload() -> bytes:
+    crossings = np.random.default_rng(1).uniform(-0.6, 0.6, (len(CELLS), 3)).astype(np.float32)
+    return encode_relief(bare_model(), crossings)
 
 
 def shape_lawfully(payload: bytes) -> None:
@@ -115,21 +130,22 @@ def test_random_relief(payload: bytes) -> None:
     shape_lawfully(payload)
 
 
-@given(st.integers(0, len(RELIEF) - 1), st.integers(1, 255))
+@given(places(relief_payload), st.integers(1, 255))
 def test_changed_byte_of_a_relief(position: int, change: int) -> None:
-    damaged = bytearray(RELIEF)
+    damaged = bytearray(relief_payload())
     damaged[position] ^= change
     shape_lawfully(bytes(damaged))
 
 
-@given(st.integers(0, len(RELIEF) - 1))
+@given(places(relief_payload))
 def test_cut_relief(length: int) -> None:
-    shape_lawfully(RELIEF[:length])
+    shape_lawfully(relief_payload()[:length])
 
 
 SMALL = Camera(width=20, height=15, fx=20.0, fy=20.0, cx=9.5, cy=7.0)
 
 
+@cache
 def depth_payload() -> bytes:
     """Return the payload of a bent wall with a hole."""
     x, y = np.meshgrid(np.arange(20), np.arange(15))
@@ -137,9 +153,6 @@ def depth_payload() -> bytes:
     samples[3:7, 4:8] = 0
     steps = DepthSteps(step=20, levels=3, halvings=1)
     return encode_depths(DepthPicture(samples=samples, spacing=1, scale_bits=12), steps)[0]
-
-
-DEPTHS = depth_payload()
 
 
 def spread_lawfully(payload: bytes) -> None:
@@ -161,17 +174,17 @@ def test_random_depths(payload: bytes) -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(0, len(DEPTHS) - 1), st.integers(1, 255))
+@given(places(depth_payload), st.integers(1, 255))
 def test_changed_byte_of_depths(position: int, change: int) -> None:
-    damaged = bytearray(DEPTHS)
+    damaged = bytearray(depth_payload())
     damaged[position] ^= change
     spread_lawfully(bytes(damaged))
 
 
 @settings(deadline=None)
-@given(st.integers(0, len(DEPTHS) - 1))
+@given(places(depth_payload))
 def test_cut_depths(length: int) -> None:
-    spread_lawfully(DEPTHS[:length])
+    spread_lawfully(depth_payload()[:length])
 
 
 @given(st.binary(max_size=120), st.booleans())

@@ -24,14 +24,14 @@ BOX, BALL, HAND = 1, 2, 10
 """Labels in the masks; all parts of the hand have one."""
 TABLE_M, BALL_RADIUS_M = 0.7, 0.06
 BOX_M = (0.13, 0.20, 0.12)
-SPEEDS = {"enter": (0, 14), "push": (14, 38), "lift": (38, 48), "flick": (48, 58), "leave": (58, 76)}
+SPEEDS = {"enter": (0, 8), "push": (8, 26), "lift": (26, 34), "flick": (34, 42), "leave": (42, 54)}
 """Frames from and to which the hand does what."""
 
 
 def pushing(
-    frames: int = 90, size: tuple[int, int] = (320, 240), *, held: bool = False, limp: bool = False, seed: int = 0
+    frames: int = 60, size: tuple[int, int] = (160, 120), *, held: bool = False, limp: bool = False, seed: int = 0
 ) -> ListSequence:
-    """Render the sequence with a Kinect's noise; the hand appears in frame 2 or so and is gone after frame 76."""
+    """Render the sequence with a Kinect's noise; the hand appears in frame 2 or so and is gone after frame 54."""
     rng = np.random.default_rng([7, seed])
     box_x = 0.05 + 0.24 * np.array([_eased(k, "push") for k in range(frames)])
     rolled = 0.5 * np.array([_rolled(k) for k in range(frames)])
@@ -72,7 +72,7 @@ def _rolled(frame: int) -> float:
 
 
 def _rig(width: int, height: int) -> CameraRig:
-    f = 525 * width / 640
+    f = 0.95 * width
     return CameraRig.registered_to(
         Camera(width=width, height=height, fx=f, fy=f, cx=(width - 1) / 2, cy=(height - 1) / 2)
     )

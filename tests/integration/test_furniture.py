@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode
-from threedvc.encoder.pipeline.encoder import Encoder
+from threedvc.config import AppearanceConfig, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
+from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass
+from threedvc.encoder.pipeline.offline_passes import find_objects, improve
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.tracking.pose_track import TrackedPose, carry_resting_objects
 from threedvc.geometry.pose import compose, inverse, make_pose, rotation_angle, rotation_from_vector
@@ -22,7 +23,11 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 FRAMES, SIZE, RADIUS_M = 16, (96, 72), 0.45
 HIDDEN = range(9, 12)
 CONFIG = EncoderConfig(
-    motion=Motion.TRACK, segmentation=SegmentationConfig(mode=SegmentationMode.MASKS), refine=False, threads=2
+    motion=Motion.TRACK,
+    segmentation=SegmentationConfig(mode=SegmentationMode.MASKS),
+    refine=False,
+    appearance=AppearanceConfig(rounds=1),
+    threads=1,
 )
 
 
@@ -31,7 +36,8 @@ def furnished() -> ListSequence:
     """Return a room whose things within a ball are labelled 1, but for some frames."""
     source = SyntheticSequence(make_scene("room", frames=4 * FRAMES, size=SIZE))
     frames = [
-        replace(source[4 * index], index=index, timestamp_ns=source[index].timestamp_ns) for index in range(FRAMES)
+        replace(source[4 * index], index=index, timestamp_ns=round(index * 10**9 / source.info.fps))
+        for index in range(FRAMES)
     ]
     places = [world_points(frame.depth, frame.T_world_camera, source) for frame in frames]
     middle = places[0][SIZE[1] // 2, SIZE[0] // 3]
@@ -58,9 +64,9 @@ def in_the_room(scene: Scene, number: int) -> list[NDArray[np.float64]]:
 @pytest.mark.parametrize("refine", [False, True])
 def test_furniture_stays_in_its_place(refine: bool) -> None:
     sequence = furnished()
-    encoder = Encoder(sequence.info, replace(CONFIG, refine=refine))
-    list(encoder.packets(sequence))
-    places = in_the_room(encoder.scene, 1)
+    fusion = FusionPass(sequence, FrameReporter(None))
+    state, _ = improve(find_objects(sequence.info, replace(CONFIG, refine=refine), fusion), fusion)
+    places = in_the_room(state.scene, 1)
     assert max(np.linalg.norm(place[:3, 3] - places[0][:3, 3]) for place in places) < 0.05
     assert max(rotation_angle(inverse(places[0]) @ place) for place in places) < 0.06
 

@@ -19,7 +19,8 @@ from threedvc.frames.sensor_model import SENSORS
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES = METERED_FRAMES + 3
-FAST = EncoderConfig(motion=Motion.KNOWN, refine=False, threads=2)
+FAST = EncoderConfig(motion=Motion.KNOWN, refine=False, threads=1)
+pytestmark = pytest.mark.usefixtures("quick_av1")
 
 
 def metered(depth_m: float, sigma_m: float, rng: np.random.Generator, voxel_size_m: float = 0.001) -> NoiseMeter:
@@ -95,7 +96,7 @@ def test_a_live_encoder_learns_the_sensor_from_its_first_frames() -> None:
 
 @pytest.mark.parametrize("causal", [False, True])
 def test_a_sensor_that_was_named_is_believed(causal: bool) -> None:
-    sequence = nonrigid_sequence(FRAMES)
+    sequence = nonrigid_sequence(FRAMES, (64, 48))
     encoder = Encoder(sequence.info, replace(FAST, sensor=Sensor.KINECT1, causal=causal))
     list(encoder.packets(sequence))
     assert encoder.scene.sensor_of(0) is SENSORS[Sensor.KINECT1]
@@ -103,7 +104,7 @@ def test_a_sensor_that_was_named_is_believed(causal: bool) -> None:
 
 @pytest.mark.parametrize("noise", ["ideal", "kinect"])
 def test_depth_as_guessed_stays_so(noise: str) -> None:
-    source = SyntheticSequence(make_scene("room", frames=8, size=(96, 72)), noise, seed=3)
+    source = SyntheticSequence(make_scene("room", frames=8, size=(80, 60)), noise, seed=3, threads=1)
     sequence = ListSequence(list(source), source.info)
     encoder = Encoder(sequence.info, FAST)
     list(encoder.packets(sequence))

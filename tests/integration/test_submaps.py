@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,18 +20,23 @@ from threedvc.geometry.pose import Pose, identity, inverse, make_pose
 from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
-ROOM = SyntheticSequence(make_scene("room", frames=60, size=(160, 120)))
+ROOM = SyntheticSequence(make_scene("room", frames=60, size=(96, 72)))
 INFO = replace(ROOM.info, has_camera_poses=False, fps=6)
 COVERED = 8
 FIRST, ELSEWHERE = list(range(12)), list(range(40, 55))
 PERIOD_NS = 10**9 // 6
 
 
+@cache
+def filmed(number: int) -> Frame:
+    return ROOM[number]
+
+
 def recording(*numbers: int | None) -> ListSequence:
     """Return frames of the room as filmed without poses; None: the lens is covered."""
     frames = []
     for index, number in enumerate(numbers):
-        frame = ROOM[number or 0]
+        frame = filmed(number or 0)
         if number is None:
             frame = replace(frame, color=np.zeros_like(frame.color), depth=np.zeros_like(frame.depth))
         frames.append(replace(frame, index=index, timestamp_ns=index * PERIOD_NS, T_world_camera=None))
@@ -39,7 +45,7 @@ def recording(*numbers: int | None) -> ListSequence:
 
 def true_pose(number: int) -> Pose:
     """Return T_camera_world, in the world that is the camera of frame 0."""
-    first, here = ROOM[0].T_world_camera, ROOM[number].T_world_camera
+    first, here = filmed(0).T_world_camera, filmed(number).T_world_camera
     assert first is not None
     assert here is not None
     return inverse(here) @ first
@@ -109,7 +115,7 @@ def test_a_camera_that_comes_back_at_once_needs_no_part() -> None:
 @pytest.mark.parametrize("causal", [False, True])
 def test_the_stream_goes_on(causal: bool) -> None:
     numbers = [*FIRST, *[None] * COVERED, *ELSEWHERE[:6]]
-    settings = EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL, causal=causal, refine=False, voxel_size_m=0.04)
+    settings = EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL, causal=causal, refine=False, voxel_size_m=0.08)
     decoder, encoder = Decoder(), Encoder(INFO, settings)
     states = list(decoder.frames(encoder.packets(recording(*numbers))))
     assert decoder.complete

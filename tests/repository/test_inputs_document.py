@@ -25,6 +25,7 @@ def test_table_lists_every_case(repository: Path, document) -> None:  # type: ig
     assert TABLE.findall(text) == [case.name for case in document.CASES]
 
 
+@pytest.mark.long  # every case takes seconds, and the programs that record are not part of the checkout
 def test_table_is_current(repository: Path, document) -> None:  # type: ignore[no-untyped-def]
     folder = document.field_folder()
     if not folder.is_dir():

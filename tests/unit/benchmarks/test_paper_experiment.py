@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -14,20 +15,32 @@ import paper_experiment
 import paper_report
 from paper_report import CASES, EARLY, PAPER_CELLS
 from spheres import Spheres, View, draw, spheres_of_cells
+from threedvc.synthesis import make_scene
 
 FRAMES = 3
 SIDE_PX = 61
 WIDTH_PX = 200
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of an experiment with a few frames."""
-    place = tmp_path_factory.mktemp("paper")
+def experiment(place: Path, size: tuple[int, int]) -> Path:
+    """Make an experiment with a few frames; return its folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper_experiment, "SPHERES_WIDTH_PX", WIDTH_PX)
+        patch.setattr(paper_experiment, "make_scene", partial(make_scene, size=size))
         paper_experiment.main([str(place), "--frames", str(FRAMES)])
     return place
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of an experiment with pictures of the paper's size."""
+    return experiment(tmp_path_factory.mktemp("paper"), (100, 100))
+
+
+@pytest.fixture(scope="module")
+def small_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of an experiment with small pictures."""
+    return experiment(tmp_path_factory.mktemp("small"), (40, 40))
 
 
 def one_sphere(x: float, y: float, z: float, level: float = 200.0) -> Spheres:
@@ -91,8 +104,8 @@ class TestReport:
 
 
 class TestPictures:
-    def test_every_range_frame_stands_beside_its_input(self, folder: Path) -> None:
-        pictures = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((folder / "range").iterdir())]
+    def test_every_range_frame_stands_beside_its_input(self, small_folder: Path) -> None:
+        pictures = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((small_folder / "range").iterdir())]
         assert len(pictures) == FRAMES
         for picture in pictures:
             assert picture is not None
@@ -103,8 +116,8 @@ class TestPictures:
         grey = paper_experiment.range_picture(np.array([[0.0, 1.0, 2.0]], dtype=np.float32), 1.0, 2.0)
         assert grey[0, :: paper_experiment.RANGE_ENLARGEMENT].tolist() == [0, 255, paper_experiment.DARKEST_GREY]
 
-    def test_models_are_drawn_for_both_moments(self, folder: Path) -> None:
-        pictures = [cv2.imread(str(folder / f"spheres_{count:03}.png")) for count in (EARLY, FRAMES)]
+    def test_models_are_drawn_for_both_moments(self, small_folder: Path) -> None:
+        pictures = [cv2.imread(str(small_folder / f"spheres_{count:03}.png")) for count in (EARLY, FRAMES)]
         assert all(picture is not None and picture.shape[1] == WIDTH_PX for picture in pictures)
 
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.packetizer.post_filter_fit import fit_post_filter
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.errors import CorruptStream
+from threedvc.formats.container import StreamReader
 from threedvc.formats.decoding import decode
 from threedvc.formats.encoding import encode
 from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
@@ -29,7 +30,8 @@ from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 
-FILE = EncoderConfig(threads=2, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.04)
+FILE = EncoderConfig(threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.04)
+FRAMES = 5
 
 
 def some_filter(seed: int = 1) -> PostFilter:
@@ -139,10 +141,23 @@ def test_impossible_factors_are_refused() -> None:
         decode_filter(encode_filter(some_filter(), False)[:10], False)
 
 
-def scene(frames: int = 8) -> ListSequence:
-    source = SyntheticSequence(make_scene("room", frames=60, size=(128, 96)))
-    kept = [replace(source[index], index=index) for index in range(frames)]
-    return ListSequence(kept, replace(source.info, frame_count=frames))
+@pytest.fixture(scope="module")
+def sequence() -> ListSequence:
+    source = SyntheticSequence(make_scene("room", frames=60, size=(96, 72)), threads=1)
+    kept = [replace(source[index], index=index) for index in range(FRAMES)]
+    return ListSequence(kept, replace(source.info, frame_count=FRAMES))
+
+
+@pytest.fixture(scope="module")
+def stream(sequence: ListSequence) -> bytes:
+    sink = io.BytesIO()
+    encode(sequence, sink, with_preset(FILE, Preset.FAST))
+    return sink.getvalue()
+
+
+@pytest.fixture(scope="module")
+def packets(stream: bytes) -> list[Packet]:
+    return list(StreamReader(io.BytesIO(stream), "room"))
 
 
 def error(pictures: list[NDArray[np.uint8]], sequence: ListSequence) -> float:
@@ -160,9 +175,7 @@ def without_filter(packets: list[Packet]) -> list[Packet]:
     return rest
 
 
-def test_a_fitted_filter_mends_pictures() -> None:
-    sequence = scene()
-    packets = list(Encoder(sequence.info, with_preset(FILE, Preset.FAST)).packets(sequence))
+def test_a_fitted_filter_mends_pictures(sequence: ListSequence, packets: list[Packet]) -> None:
     plain = without_filter(packets)
     assert len(plain) == len(packets)
     assert error(drawn(packets), sequence) < error(drawn(plain), sequence) - 0.02
@@ -174,29 +187,24 @@ def test_a_fitted_filter_mends_pictures() -> None:
     np.testing.assert_array_equal(fitted.chroma, sent.chroma)
 
 
-def test_threads_do_not_change_the_fit() -> None:
-    sequence = scene(4)
-    plain = without_filter(list(Encoder(sequence.info, with_preset(FILE, Preset.FAST)).packets(sequence)))
-    one, two = (fit_post_filter(plain, sequence, threads) for threads in (1, 2))
+def test_threads_do_not_change_the_fit(sequence: ListSequence, packets: list[Packet]) -> None:
+    plain = without_filter(packets)
+    one, two = (fit_post_filter(plain, sequence, threads) for threads in (1, 3))
     assert one is not None
     assert two is not None
     np.testing.assert_array_equal(one.luma, two.luma)
     np.testing.assert_array_equal(one.chroma, two.chroma)
 
 
-def test_live_streams_have_no_filter() -> None:
-    sequence = scene()
+def test_live_streams_have_no_filter(sequence: ListSequence) -> None:
     packets = list(Encoder(sequence.info, replace(FILE, causal=True)).packets(sequence))
     assert all(state.filters is None for state in Decoder().frames(packets))
 
 
-def test_pictures_are_filtered_as_asked_and_only_as_filmed(tmp_path: Path) -> None:
-    sequence = scene()
-    path = tmp_path / "room.3dvc"
-    encode(sequence, path, with_preset(FILE, Preset.FAST))
-
+def test_pictures_are_filtered_as_asked_and_only_as_filmed(stream: bytes) -> None:
     def pictures(parts: FilterParts = FilterParts.ALL, **choices: Any) -> list[NDArray[np.uint8]]:
-        return [frame.color for frame in decode(path, render=RenderConfig(filter_parts=parts, threads=2), **choices)]
+        render = RenderConfig(filter_parts=parts, threads=1)
+        return [frame.color for frame in decode(io.BytesIO(stream), render=render, **choices)]
 
     filtered, plain = pictures(), pictures(FilterParts.NONE)
     assert any((one != other).any() for one, other in zip(filtered, plain, strict=True))

@@ -17,12 +17,13 @@ from threedvc.geometry.pose import Pose, identity, inverse, make_pose, rotation_
 from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
-ROOM = SyntheticSequence(make_scene("room", frames=40, size=(160, 120)))
+ROOM = SyntheticSequence(make_scene("room", frames=40, size=(128, 96)), threads=1)
 DRIFT = make_pose(rotation_from_vector(np.array([0, 0.0012, 0.0004])), np.array([0.0015, 0, 0.001]))
 
 
 def there_and_back() -> list[Frame]:
-    return [replace(ROOM[number], index=k) for k, number in enumerate([*range(24), *range(22, -1, -1)])]
+    there = [ROOM[number] for number in range(24)]
+    return [replace(frame, index=k) for k, frame in enumerate([*there, *there[-2::-1]])]
 
 
 def drifted(true: list[Pose]) -> list[Pose]:

@@ -43,7 +43,7 @@ class PosedSequence(ListSequence):
 @pytest.fixture(scope="module")
 def room() -> tuple[SequenceInfo, list[Frame]]:
     """Return a camera's way through a furnished room, every third frame of it."""
-    sequence = SyntheticSequence(make_scene("room", frames=3 * COUNT, size=(128, 96), seed=3))
+    sequence = SyntheticSequence(make_scene("room", frames=3 * COUNT, size=(112, 84), seed=3), threads=1)
     return sequence.info, [replace(sequence[3 * index], index=index) for index in range(COUNT)]
 
 

@@ -4,24 +4,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from threedvc.encoder.tracking import relocalisation
 from threedvc.encoder.tracking.relocalisation import Keyframes
+from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
 from threedvc.synthesis import SyntheticSequence, make_scene
 
-ROOM = SyntheticSequence(make_scene("room", frames=30, size=(320, 240)))
+ROOM = SyntheticSequence(make_scene("room", frames=30, size=(320, 240)), threads=1)
+
+
+@cache
+def frame_of(number: int) -> Frame:
+    return ROOM[number]
 
 
 def everywhere(frame: int) -> np.ndarray:
-    return np.ones(ROOM[frame].depth.shape, dtype=np.bool_)
+    return np.ones(frame_of(frame).depth.shape, dtype=np.bool_)
 
 
 def pose_of(frame: int) -> Pose:
-    T = ROOM[frame].T_world_camera
+    T = frame_of(frame).T_world_camera
     assert T is not None
     return inverse(T)
 
@@ -29,8 +36,13 @@ def pose_of(frame: int) -> Pose:
 def kept(*numbers: int) -> Keyframes:
     keyframes = Keyframes(ROOM.info.rig)
     for number in numbers:
-        keyframes.add(ROOM[number], everywhere(number), pose_of(number))
+        keyframes.add(frame_of(number), everywhere(number), pose_of(number))
     return keyframes
+
+
+@cache
+def three_kept() -> Keyframes:
+    return kept(0, 12, 24)
 
 
 def assert_near(found: Pose, frame: int) -> None:
@@ -40,14 +52,14 @@ def assert_near(found: Pose, frame: int) -> None:
 
 
 def test_a_frame_is_found_among_keyframes_without_a_guess() -> None:
-    hypotheses = kept(0, 12, 24).query(ROOM[13])
+    hypotheses = three_kept().query(frame_of(13))
     assert hypotheses
     assert_near(hypotheses[0].T_camera_object, 13)
 
 
 def test_depth_is_not_needed() -> None:
-    blind = replace(ROOM[13], depth=np.zeros_like(ROOM[13].depth))
-    assert_near(kept(0, 12, 24).query(blind)[0].T_camera_object, 13)
+    blind = replace(frame_of(13), depth=np.zeros_like(frame_of(13).depth))
+    assert_near(three_kept().query(blind)[0].T_camera_object, 13)
 
 
 def test_frames_from_about_the_same_place_are_kept_once() -> None:
@@ -56,23 +68,23 @@ def test_frames_from_about_the_same_place_are_kept_once() -> None:
 
 
 def test_features_of_other_pixels_do_not_count() -> None:
-    assert not kept(0, 12, 24).query(ROOM[13], np.zeros_like(everywhere(13)))
+    assert not three_kept().query(frame_of(13), np.zeros_like(everywhere(13)))
 
 
 def test_nothing_is_found_where_there_is_nothing() -> None:
     keyframes = kept(0, 12)
-    dark = replace(ROOM[13], color=np.zeros_like(ROOM[13].color))
+    dark = replace(frame_of(13), color=np.zeros_like(frame_of(13).color))
     assert not keyframes.query(dark)
     keyframes.add(dark, everywhere(13), pose_of(13) @ pose_of(29))
     assert len(keyframes) == len(kept(0, 12))
     noise = np.random.default_rng(0).integers(0, 256, dark.color.shape, dtype=np.uint8)
     assert not keyframes.query(replace(dark, color=noise))
-    assert not Keyframes(ROOM.info.rig).query(ROOM[3])
+    assert not Keyframes(ROOM.info.rig).query(frame_of(3))
 
 
 def test_a_frame_without_depth_is_not_kept() -> None:
     keyframes = Keyframes(ROOM.info.rig)
-    keyframes.add(replace(ROOM[0], depth=np.zeros_like(ROOM[0].depth)), everywhere(0), pose_of(0))
+    keyframes.add(replace(frame_of(0), depth=np.zeros_like(frame_of(0).depth)), everywhere(0), pose_of(0))
     assert len(keyframes) == 0
 
 
@@ -80,13 +92,13 @@ def test_of_many_keyframes_the_most_alike_are_matched(monkeypatch: pytest.Monkey
     monkeypatch.setattr(relocalisation, "MAX_TRIED", 1)
     few = kept(0, 29)
     assert len(few) == 2
-    assert_near(few.query(ROOM[0])[0].T_camera_object, 0)
-    brighter = replace(ROOM[29], color=(ROOM[29].color // 2 + 90).astype(np.uint8))
+    assert_near(few.query(frame_of(0))[0].T_camera_object, 0)
+    brighter = replace(frame_of(29), color=(frame_of(29).color // 2 + 90).astype(np.uint8))
     assert_near(few.query(brighter)[0].T_camera_object, 29)
 
 
 def test_a_thinned_depth_picture_lifts_features_to_about_their_points() -> None:
-    wide = SyntheticSequence(make_scene("room", frames=30, size=(640, 480)))
+    wide = SyntheticSequence(make_scene("room", frames=30, size=(640, 480)), threads=1)
     frame, camera = wide[0], wide.info.rig.color
     pixels = np.stack(np.meshgrid(np.arange(3, 640, 7.0), np.arange(3, 480, 7.0)), axis=-1).reshape(-1, 2)
     depth = frame.depth[pixels[:, 1].astype(int), pixels[:, 0].astype(int)]
