@@ -111,15 +111,38 @@ def test_every_batch_has_a_video_and_no_colors(packets: list[Packet]) -> None:
     assert not of_colors & {type_name(each.type) for each in members}
 
 
-def test_models_are_drawn_elsewhere(path: Path) -> None:
+def test_without_a_video_models_are_grey(path: Path) -> None:
     models = colors(path, MODELS)
     assert all((picture == 128).mean() > 0.9 for picture in models)
-    viewpoint = [threedvc.open_stream(path).info and identity()]
-    for other in ({"camera_path": viewpoint}, {"objects": [0]}, {"size": (32, 24)}):
-        assert all((picture == 128).mean() > 0.9 for picture in colors(path, **other))
-    np.testing.assert_array_equal(colors(path, objects=[0]), models)
+    for other in ({"camera_path": [identity()]}, {"objects": [0]}):
+        assert all((picture == 128).mean() > 0.9 for picture in colors(path, MODELS, **other))
     depths = [frame.depth for frame in threedvc.decode(path, what=frozenset({"depth"}))]
     np.testing.assert_array_equal(depths, [frame.depth for frame in threedvc.decode(path)])
+
+
+def test_elsewhere_models_have_the_colors_of_the_video(path: Path, sequence: SyntheticSequence) -> None:
+    filmed = [frame.T_world_camera for frame in threedvc.decode(path)]
+    again = colors(path, camera_path=filmed)
+    for shown in (again, colors(path, objects=[0])):
+        errors = [luma(got) - luma(frame.color) for got, frame in zip(shown, sequence, strict=True)]
+        assert np.mean([np.square(error).mean() for error in errors]) < 500
+    np.testing.assert_array_equal(colors(path, camera_path=filmed, frames=(3, None)), again[3:])
+    small = colors(path, size=(32, 24))
+    assert np.square(luma(small[-1]) - luma(sequence[FRAMES - 1].color[::2, ::2])).mean() < 900
+
+
+def test_colors_elsewhere_do_not_depend_on_threads(path: Path) -> None:
+    one, three = (colors(path, RenderConfig(threads=threads), size=(32, 24)) for threads in (1, 3))
+    np.testing.assert_array_equal(one, three)
+
+
+@pytest.mark.parametrize(("kbps", "filmed"), [(30, False), (150, True)])
+def test_the_better_colors_are_chosen(kbps: int, filmed: bool, sequence: SyntheticSequence) -> None:
+    config = replace(CONFIG, color_video=ColorVideo.AUTO, bitrate_bps=1000 * kbps)
+    packets = list(Encoder(sequence.info, config).packets(sequence))
+    found = any(each.type == PacketType.COLOR_VIDEO for each in members_of(packets))
+    assert found == filmed
+    assert stream_bytes(packets) <= 1.05 * 125 * kbps * FRAMES / sequence.info.fps
 
 
 def test_pictures_do_not_depend_on_threads(path: Path) -> None:
