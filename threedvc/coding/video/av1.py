@@ -39,7 +39,7 @@ PIXEL_FORMATS: Final = {8: "yuv420p", 10: "yuv420p10le"}
 GREY_PIXEL_FORMATS: Final = {8: "gray", 10: "gray10le"}
 FRAME_RATE: Final = 30
 """That the encoder is told: without a rate to keep it means nothing."""
-SETTINGS: Final = "keyint=-1:tune=1:scm=0:film-grain=0"
+SETTINGS: Final = "keyint=-1:tune=1:enable-dlf=2:scm=0:film-grain=0"
 """Of the encoder: one key frame, least squared error, no tools for screens, no noise added by decoders. Smoothing over
 time before coding and six levels of prediction are its defaults; without them 19 and 5 % more bytes (decision 0030)."""
 
