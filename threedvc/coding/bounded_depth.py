@@ -15,20 +15,16 @@ from threedvc.coding.depth_weights import MAX_WEIGHT, WeightFit
 from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
 from threedvc.kernels.coding.bounded_depth import (
-    BORDER,
     MASK_ROWS,
     MODELS,
-    NEAR_TAPS,
     STEP_ROWS,
-    TAPS,
-    UNIT,
     Blend,
     DepthSlice,
     DepthTable,
     SliceModels,
     code_slice,
-    place_ahead,
 )
+from threedvc.kernels.coding.depth_prediction import BORDER, NEAR_TAPS, TAPS, UNIT, place_ahead
 from threedvc.kernels.coding.mixing import UNIT_INPUT
 from threedvc.kernels.coding.range_coder import COUNTER_START, NUMBER_COUNTERS
 from threedvc.limits import MAX_SEQUENCE_SAMPLES
@@ -145,7 +141,7 @@ class _Pictures:
             ahead[inner] = levels
         else:
             for_ranges(lambda a, b: place_ahead(ahead, measured, foretold, self.places, levels, a, b), height, threads)
-        return np.pad(ahead[inner], BORDER, mode="edge"), measured, False
+        return np.ascontiguousarray(np.pad(ahead[inner], BORDER, mode="edge")), measured, False
 
     def code(self, coders: Sequence[RangeCoder], frame: _Frame, table: DepthTable, threads: int) -> None:
         """Code a frame, after which it is the one before."""
@@ -166,7 +162,8 @@ def _places(values: NDArray[np.int64]) -> NDArray[np.int32]:
     at = np.clip(below, 1, max(len(values) - 1, 1))
     before, after = values[at - 1], values[np.minimum(at, len(values) - 1)]
     part = UNIT * (raw - before) // np.maximum(after - before, 1)
-    return np.clip(UNIT * at + part, UNIT, UNIT * len(values)).astype(np.int32)
+    places: NDArray[np.int32] = np.clip(UNIT * at + part, UNIT, UNIT * len(values)).astype(np.int32)
+    return places
 
 
 def encode_depth_frames(

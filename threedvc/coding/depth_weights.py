@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels.coding.bounded_depth import BORDER, NEAR_TAPS, TAPS, WEIGHT_BITS, add_products
+from threedvc.kernels.coding.depth_prediction import BORDER, NEAR_TAPS, TAPS, WEIGHT_BITS, add_products
 from threedvc.parallel import for_ranges
 
 __all__ = ["MAX_WEIGHT", "WeightFit"]
