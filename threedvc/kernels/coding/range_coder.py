@@ -31,6 +31,7 @@ __all__ = [
     "WIDTH",
     "Coder",
     "adapt_counter",
+    "adapted_counter",
     "clamp_probability",
     "code_adaptive_bit",
     "code_bit",
@@ -199,15 +200,20 @@ def counter_probability(counter: int) -> int:
 
 
 @kernel
-def adapt_counter(counters: NDArray[np.uint32], index: int, bit: int, limit: int) -> None:
-    """Move a counter towards `bit` by 1 / (n + 1.5) after n bits; n stops at `limit`."""
-    value = np.int64(counters[index])
+def adapted_counter(value: int, bit: int, limit: int) -> int:
+    """Return a counter moved towards `bit` by 1 / (n + 1.5) after n bits; n stops at `limit`."""
     seen = value & ((1 << COUNTED_BITS) - 1)
     probability = value >> COUNTED_BITS
     probability += ((((bit << 22) - bit) - probability) * np.int64(RECIPROCAL_TABLE[seen])) >> 16
     if seen < limit:
         seen += 1
-    counters[index] = (probability << COUNTED_BITS) | seen
+    return (probability << COUNTED_BITS) | seen
+
+
+@kernel
+def adapt_counter(counters: NDArray[np.uint32], index: int, bit: int, limit: int) -> None:
+    """Replace a counter by the `adapted_counter`."""
+    counters[index] = adapted_counter(np.int64(counters[index]), bit, limit)
 
 
 @kernel
