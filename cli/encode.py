@@ -13,6 +13,7 @@ import click
 
 from threedvc.cli.options import (
     bit_rate,
+    depth_error,
     focus,
     force_option,
     frame_range,
@@ -69,8 +70,13 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--depth-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
               help="Add a video of the depth as filmed, as far as the rate leaves room; auto: where it is not rigid, "
               "if it is worth its bytes (medium, slow).")  # fmt: skip
+@click.option("--depth-error", type=depth_error, default="model", show_default=True,
+              metavar="model|5mm|1%|level|lossless",
+              help="Largest error of every measured depth: that of the models, a length, a share, the next depth that "
+              "the sensor tells, or none.")  # fmt: skip
 @click.option("--color-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
-              help="Add a video of the pictures in place of the models' colours; auto: not yet.")  # fmt: skip
+              help="Add a video of the pictures in place of the models' colours; auto: if frames look better so at as many "
+              "bytes.")  # fmt: skip
 @click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
               help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
               )  # fmt: skip

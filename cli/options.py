@@ -20,12 +20,13 @@ from threedvc.errors import ConfigError
 from threedvc.formats.layout_names import layout_names
 
 if TYPE_CHECKING:
-    from threedvc.config import RegionOfInterest, SegmentationConfig
+    from threedvc.config import DepthErrorConfig, RegionOfInterest, SegmentationConfig
 
 __all__ = [
     "OUTPUTS",
     "bit_rate",
     "decoded_outputs",
+    "depth_error",
     "focus",
     "force_option",
     "frame_range",
@@ -50,6 +51,7 @@ LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
 RATE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*([kKmM]?)\s*")
 RATE_EXPONENT = {"": 0, "k": 3, "m": 6}
 """Of a prefix of bits per second."""
+PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
 RANGE = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 SIZE = re.compile(r"(\d+)[xX](\d+)")
 LABEL_LIMIT = 256
@@ -75,6 +77,20 @@ def bit_rate(text: str) -> float:
     if match is None:
         raise click.BadParameter(f"{text!r} is not a bit rate; write 24k, 1.5M or a number of bits per second")
     return float(f"{match[1]}e{RATE_EXPONENT[match[2].lower()]}")
+
+
+def depth_error(text: str) -> DepthErrorConfig:
+    """Return the bound of ``model``, ``5mm``, ``1%``, ``level`` or ``lossless``."""
+    from threedvc.config import DepthErrorConfig, DepthErrorKind
+
+    named = (DepthErrorKind.MODEL, DepthErrorKind.LEVEL, DepthErrorKind.LOSSLESS)
+    if text in named:
+        return DepthErrorConfig(kind=DepthErrorKind(text))
+    if (percent := PERCENT.fullmatch(text)) is not None:
+        return DepthErrorConfig(kind=DepthErrorKind.RELATIVE, size=float(f"{percent[1]}e-2"))
+    if LENGTH.fullmatch(text) is None:
+        raise click.BadParameter(f"{text!r} is no bound; write model, level, lossless, a length such as 5mm, or 1%")
+    return DepthErrorConfig(kind=DepthErrorKind.ABSOLUTE, size=length(text))
 
 
 def positive_number(text: str) -> float:

@@ -12,7 +12,7 @@ import click
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from threedvc.config import EncoderConfig, RegionOfInterest, SegmentationConfig
+    from threedvc.config import DepthErrorConfig, EncoderConfig, RegionOfInterest, SegmentationConfig
     from threedvc.formats.sources import FrameRange
     from threedvc.frames.sequence import FrameSequence
 
@@ -78,6 +78,7 @@ class EncodeRequest(ReaderRequest):
     relief: int | None
     depth_video: str
     color_video: str
+    depth_error: DepthErrorConfig
     focus: tuple[RegionOfInterest, ...]
     causal: bool
     threads: int | None
@@ -136,6 +137,7 @@ class EncodeRequest(ReaderRequest):
             focus=self.focus,
             depth_video=DepthVideo(self.depth_video),
             color_video=ColorVideo(self.color_video),
+            depth_error=self.depth_error,
             threads=self.threads or default_threads(),
         )
         if self.quality is not None:
@@ -149,9 +151,14 @@ class EncodeRequest(ReaderRequest):
             raise click.UsageError("--bitrate and --quality contradict each other; give one of them")
         if self.causal and self.preset not in ("live", "medium"):
             raise click.UsageError(f"--causal and --preset {self.preset} contradict each other; give one of them")
+        live = self.causal or self.preset == "live"
         for video, choice in (("--depth-video", self.depth_video), ("--color-video", self.color_video)):
-            if choice == "on" and (self.causal or self.preset == "live"):
+            if choice == "on" and live:
                 raise click.UsageError(f"{video} on and --preset live contradict each other; give one of them")
+        if self.depth_error.kind != "model":
+            for option, given in (("--bitrate", self.bitrate is not None), ("--preset live", live)):
+                if given:
+                    raise click.UsageError(f"--depth-error and {option} contradict each other; give one of them")
         if len(self.sensor) not in (0, 1, sensors):
             raise click.UsageError(f"--sensor is given {len(self.sensor)} times; give it once, or once for each INPUT")
 

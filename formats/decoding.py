@@ -125,6 +125,7 @@ class DecodedStream:
         self.decoder = Decoder(
             captured_depth=render.captured_depth and "depth" in what and self._as_filmed,
             captured_color=render.captured_color and "color" in what,
+            threads=render.threads,
         )
         self._renderers = [Renderer(rig, render) for rig in shown]
         self._filming = [Renderer(rig, render) for rig in rigs]

@@ -5,7 +5,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["ColorVideo", "DepthVideo", "FilterParts", "Motion", "Preset", "SegmentationMode", "Sensor"]
+__all__ = [
+    "ColorVideo",
+    "DepthErrorKind",
+    "DepthVideo",
+    "FilterParts",
+    "Motion",
+    "Preset",
+    "SegmentationMode",
+    "Sensor",
+]
 
 
 class Motion(StrEnum):
@@ -26,6 +35,20 @@ class DepthVideo(StrEnum):
     AUTO = "auto"
     ON = "on"
     OFF = "off"
+
+
+class DepthErrorKind(StrEnum):
+    """How far decoded depth may lie from what was measured.
+
+    MODEL: as far as the models, or a video, do. ABSOLUTE: some metres. RELATIVE: a share of the depth. LEVEL: to the
+    next depth that the sensor tells at all. LOSSLESS: not at all.
+    """
+
+    MODEL = "model"
+    ABSOLUTE = "absolute"
+    RELATIVE = "relative"
+    LEVEL = "level"
+    LOSSLESS = "lossless"
 
 
 class ColorVideo(StrEnum):

@@ -5,7 +5,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from threedvc.choices import ColorVideo, DepthVideo, FilterParts, Motion, Preset, SegmentationMode, Sensor
+from threedvc.choices import (
+    ColorVideo,
+    DepthErrorKind,
+    DepthVideo,
+    FilterParts,
+    Motion,
+    Preset,
+    SegmentationMode,
+    Sensor,
+)
 from threedvc.errors import ConfigError
 from threedvc.limits import MAX_RELIEF_BITS
 from threedvc.parallel import default_threads
@@ -14,6 +23,8 @@ __all__ = [
     "AppearanceConfig",
     "ColorConfig",
     "ColorVideo",
+    "DepthErrorConfig",
+    "DepthErrorKind",
     "DepthVideo",
     "EncoderConfig",
     "ExplorationConfig",
@@ -41,6 +52,8 @@ MIN_STEP, MAX_STEP = 0.5, 255.0
 """Grey levels: half of one, which rounding hides, and the largest that a stream can tell (4080 sixteenths)."""
 MAX_FOCUS = 100.0
 """Steps are divided by its root: ten times as fine as the default is about a level."""
+MAX_DEPTH_ERROR_M, MAX_DEPTH_ERROR = 1.0, 0.5
+"""Metres, and a share of the depth: with more nothing is left of it."""
 MAX_OBJECT = 255
 """Largest label of an 8-bit mask."""
 MAX_CANDIDATES = 100_000
@@ -162,6 +175,27 @@ class AppearanceConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DepthErrorConfig:
+    """How far decoded depth may lie from what was measured; files only.
+
+    Attributes
+    ----------
+    kind
+        See `DepthErrorKind`.
+    size
+        Metres, or a share of the depth; of no meaning for the others.
+    """
+
+    kind: DepthErrorKind = DepthErrorKind.MODEL
+    size: float = 0.0
+
+    def __post_init__(self) -> None:
+        largest = {DepthErrorKind.ABSOLUTE: MAX_DEPTH_ERROR_M, DepthErrorKind.RELATIVE: MAX_DEPTH_ERROR}.get(self.kind)
+        if largest is not None and not 0 < self.size <= largest:
+            raise ConfigError(f"a depth error of {self.size:g} must be more than 0 and at most {largest:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RegionOfInterest:
     """Where squared errors of colours count more than elsewhere, or less: an object or a part of the background.
 
@@ -257,6 +291,8 @@ class EncoderConfig:
         frames that can be read more than once.
     depth_video
         See `DepthVideo`.
+    depth_error
+        See `DepthErrorConfig`; the bytes of such depth follow from it.
     color_video, video
         See `ColorVideo` and `VideoConfig`.
     causal
@@ -283,6 +319,7 @@ class EncoderConfig:
     live_buffer_s: float = 1.0
     refine: bool = True
     depth_video: DepthVideo = DepthVideo.AUTO
+    depth_error: DepthErrorConfig = field(default_factory=DepthErrorConfig)
     color_video: ColorVideo = ColorVideo.AUTO
     video: VideoConfig = field(default_factory=VideoConfig)
     causal: bool = False
@@ -307,6 +344,10 @@ class EncoderConfig:
             raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
         if self.causal and self.color_video is ColorVideo.ON:
             raise ConfigError("a live stream cannot have a colour video; leave out --color-video on or --preset live")
+        if self.causal and self.depth_error.kind is not DepthErrorKind.MODEL:
+            raise ConfigError(
+                "a live stream cannot hold depth within a bound; leave out --depth-error or --preset live"
+            )
         if self.batch_frames is not None and self.batch_frames < 1:
             raise ConfigError(f"group of {self.batch_frames} frames must have at least one frame")
         if self.threads < 1:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,7 +31,7 @@ from threedvc.limits import MAX_SEQUENCE_SAMPLES
 from threedvc.parallel import for_ranges
 from threedvc.stream.wire import ByteReader, pack_varint
 
-__all__ = ["Predict", "decode_depth_frames", "encode_depth_frames"]
+__all__ = ["Predict", "decode_depth_frames", "depth_frames", "encode_depth_frames"]
 
 Predict = Callable[[int, NDArray[np.uint16] | None], NDArray[np.uint16] | None]
 """Given the number of a frame in the group and the decoded frame before it (None before the first), return the raw
@@ -361,7 +361,14 @@ def _with_length(data: bytes) -> bytes:
 def decode_depth_frames(
     payload: bytes, width: int, height: int, count: int, predict: Predict | None = None, threads: int = 1
 ) -> list[NDArray[np.uint16]]:
-    """Return the frames (height, width) of a payload.
+    """Return the frames (height, width) of a payload; see `depth_frames`."""
+    return list(depth_frames(payload, width, height, count, predict, threads))
+
+
+def depth_frames(
+    payload: bytes, width: int, height: int, count: int, predict: Predict | None = None, threads: int = 1
+) -> Iterator[NDArray[np.uint16]]:
+    """Yield the frames (height, width) of a payload; each is predicted when it is asked for.
 
     Raises
     ------
@@ -379,7 +386,8 @@ def decode_depth_frames(
     values = _code_table(head, np.zeros(0, dtype=np.int64))
     if len(values) == 0:
         head.finish()
-        return [np.zeros((height, width), dtype=np.uint16) for _ in range(count)]
+        yield from (np.zeros((height, width), dtype=np.uint16) for _ in range(count))
+        return
     memory, slices = _code_settings(head, 0, 0)
     if slices > height:
         raise CorruptStream(f"{slices} slices of {height} rows are impossible; the stream is damaged")
@@ -395,13 +403,11 @@ def decode_depth_frames(
     table = DepthTable(len(values), nothing, nothing, 1, memory)
     pictures = _Pictures(values, height, width, slices)
     wishes = np.zeros((height, width), dtype=np.uint16)
-    frames: list[NDArray[np.uint16]] = []
     for number in range(count):
         ahead, measured, first = pictures.ahead(_foretold(predict, number, pictures), threads)
         frame = _Frame(wishes=wishes, ahead=ahead, measured=measured, weights=weights[number + 1], first=first)
         pictures.code(readers, frame, table, threads)
         assert pictures.decoded is not None
-        frames.append(pictures.decoded)
+        yield pictures.decoded
     for part in readers:
         part.finish()
-    return frames

@@ -34,6 +34,8 @@ class Decoder:
     ----------
     captured_depth, captured_color
         Whether depth and colour as captured are wanted; they need AVIF and AV1.
+    threads
+        On how many measured depth is decoded.
 
     Attributes
     ----------
@@ -41,9 +43,9 @@ class Decoder:
         Whether END came and its digest was right.
     """
 
-    def __init__(self, *, captured_depth: bool = True, captured_color: bool = True) -> None:
+    def __init__(self, *, captured_depth: bool = True, captured_color: bool = True, threads: int = 1) -> None:
         self.complete = False
-        self._wanted = WantedVideos(captured_depth, captured_color)
+        self._wanted = WantedVideos(captured_depth, captured_color, threads)
         self._notes = StreamNotes()
         self._state: DecoderState | None = None
 

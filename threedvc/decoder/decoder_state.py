@@ -27,10 +27,11 @@ __all__ = ["DecoderState", "ObjectState", "WantedVideos"]
 
 
 class WantedVideos(NamedTuple):
-    """Whether depth and colour as captured are wanted."""
+    """Whether depth and colour as captured are wanted, and on how many threads they are decoded."""
 
     depth: bool
     color: bool
+    threads: int
 
 
 @dataclass(kw_only=True, eq=False)
@@ -172,6 +173,7 @@ class DecoderState:
         self._count_frame(sensor, synchronised)
         offset = self.notes.of(ColorTimes).take_offset_ns(frame)
         poses = camera_poses({number: item.pose for number, item in self.objects.items()})
+        T_world_camera = inverse(sensor.rig.at_sensor(T_rig_world))
         return FrameState(
             index=frame,
             timestamp_ns=timestamp,
@@ -179,14 +181,14 @@ class DecoderState:
             sensor=slot.sensor,
             number=number,
             synchronised=synchronised,
-            T_world_camera=inverse(sensor.rig.at_sensor(T_rig_world)),
+            T_world_camera=T_world_camera,
             T_camera_object={number: sensor.rig.at_sensor(pose) for number, pose in poses.items()},
             T_shifted_camera=sensor.shift,
             gain=sensor.gain,
             backdrop=self._placed_backdrop(T_rig_world),
             lights=self._lights(),
             filters=self._filters,
-            captured_depth=sensor.take_captured_depth(),
+            captured_depth=sensor.take_captured_depth(T_world_camera),
             captured_color=sensor.take_captured_color(),
         )
 

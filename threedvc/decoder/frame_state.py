@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.video.planes import CapturedColor
+from threedvc.decoder.measured_depth import MeasuredDepth
 from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.model.post_filter import PostFilter
 from threedvc.render.captured_depth import CapturedDepth
@@ -62,7 +63,7 @@ class FrameState:
     backdrop: BackgroundImage | None
     lights: Mapping[int, Light]
     filters: PostFilter | None
-    captured_depth: CapturedDepth | None
+    captured_depth: CapturedDepth | MeasuredDepth | None
     captured_color: CapturedColor | None = None
     color_timestamp_ns: int | None = None
 

@@ -25,6 +25,7 @@ from threedvc.coding.video.av1 import can_decode_av1, decode_av1
 from threedvc.coding.video.planes import CapturedColor, Planes, VideoFormat
 from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
 from threedvc.decoder.decoder_state import DecoderState
+from threedvc.decoder.measured_depth import MeasuredRun
 from threedvc.decoder.sensor_state import SensorState
 from threedvc.errors import CorruptStream, LimitExceeded
 from threedvc.geometry.pose import Pose
@@ -46,6 +47,7 @@ from threedvc.stream.headers import (
     OrderHeader,
     PoseHeader,
     ReliefHeader,
+    ResidualHeader,
     ShiftHeader,
     TextureHeader,
     VideoHeader,
@@ -238,6 +240,20 @@ def _show_next(sensor: SensorState, pictures: Iterator[Planes], video: VideoForm
     sensor.set_captured_color(CapturedColor(planes=next(pictures), video=video))
 
 
+def _measured_depth(
+    state: DecoderState, timeline: BatchTimeline, header: ResidualHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("RESIDUAL", header)
+    camera = sensor.rig.depth
+    samples = header.count * camera.width * camera.height
+    if samples > MAX_SEQUENCE_SAMPLES:
+        raise LimitExceeded(f"a RESIDUAL of {samples} samples is larger than the {MAX_SEQUENCE_SAMPLES} accepted")
+    if state.wanted.depth:
+        measured = MeasuredRun(payload, header.count, camera, sensor.header.depth_scale, state.wanted.threads)
+        yield run.frames[0], partial(sensor.begin_measured_run, measured)
+
+
 def _backdrop(
     state: DecoderState, timeline: BatchTimeline, header: BackdropHeader, payload: bytes
 ) -> Iterator[FrameChange]:
@@ -290,6 +306,7 @@ HANDLERS: Final[dict[type[Header], Handler]] = dict(
         _entry(ClockHeader, _clock),
         _entry(VideoHeader, _captured_depth),
         _entry(ColorVideoHeader, _captured_color),
+        _entry(ResidualHeader, _measured_depth),
         _entry(BackdropHeader, _backdrop),
         _entry(FilterHeader, _filters),
         _entry(LightHeader, _light),

@@ -66,7 +66,7 @@ def replay(
 
     Videos are left out unless depth and colour `as_captured` are wanted.
     """
-    decoder = Decoder(captured_depth=as_captured, captured_color=as_captured)
+    decoder = Decoder(captured_depth=as_captured, captured_color=as_captured, threads=threads)
     drawable = DrawableModels(threads)
     renderers: dict[int, Renderer] = {}
     for state in decoder.frames(packets):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.video.planes import CapturedColor
+from threedvc.decoder.measured_depth import MeasuredDepth, MeasuredRun
 from threedvc.geometry.pose import Pose, identity
 from threedvc.render.captured_depth import CapturedDepth
 from threedvc.stream.headers import SensorHeader, StreamHeader
@@ -47,6 +48,7 @@ class SensorState:
         self._correction_ns = 0
         self._captured_depth: CapturedDepth | None = None
         self._captured_color: CapturedColor | None = None
+        self._measured_run: MeasuredRun | None = None
 
     def set_shift(self, T_shifted_camera: Pose) -> None:
         """Place the depth camera for colour pictures, from the next frame on."""
@@ -68,6 +70,10 @@ class SensorState:
         """Let a colour picture stand for the drawn one in the next frame alone."""
         self._captured_color = color
 
+    def begin_measured_run(self, run: MeasuredRun) -> None:
+        """Let measured depths stand for the drawn ones from the next frame on, as long as they last."""
+        self._measured_run = run
+
     def take_time_ns(self) -> int:
         """Return the time of its next frame, whose correction is then used up."""
         header = self.header
@@ -75,10 +81,11 @@ class SensorState:
         time, self._correction_ns = nominal + self._correction_ns, 0
         return time
 
-    def take_captured_depth(self) -> CapturedDepth | None:
-        """Return the depth of its next frame, if there is a video of it, which is then used up."""
+    def take_captured_depth(self, T_world_camera: Pose) -> CapturedDepth | MeasuredDepth | None:
+        """Return the depth of its next frame, taken from a pose, if the stream has it, which is then used up."""
         depth, self._captured_depth = self._captured_depth, None
-        return depth
+        measured = None if self._measured_run is None else self._measured_run.next(T_world_camera)
+        return measured or depth
 
     def take_captured_color(self) -> CapturedColor | None:
         """Return the colour of its next frame, if there is a video of it, which is then used up."""

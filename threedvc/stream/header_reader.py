@@ -22,6 +22,7 @@ from threedvc.stream.headers import (
     OrderHeader,
     PoseHeader,
     ReliefHeader,
+    ResidualHeader,
     SensorHeader,
     ShiftHeader,
     SnapshotHeader,
@@ -53,12 +54,13 @@ HEADER_TYPES: Final[Mapping[int, type[Header]]] = {
         LightHeader,
         VideoHeader,
         ColorVideoHeader,
+        ResidualHeader,
         SnapshotHeader,
         BatchHeader,
         EndHeader,
     )
 }
-"""By type of packet; the others have no keys of their own: META and ATTACHMENT are free, INDEX and RESIDUAL empty."""
+"""By type of packet; the others have no keys of their own: META and ATTACHMENT are free, INDEX empty."""
 
 BATCH_TYPES: Final = frozenset(HEADER_TYPES) - TOP_LEVEL_TYPES
 """Types of what is told of frames, which stands in a BATCH only."""

@@ -39,6 +39,7 @@ __all__ = [
     "OrderHeader",
     "PoseHeader",
     "ReliefHeader",
+    "ResidualHeader",
     "RunHeader",
     "SensorHeader",
     "SensorRunHeader",
@@ -368,6 +369,25 @@ class ColorVideoHeader(SensorRunHeader):
     codec: int = key("c", integer(1, 255), default=1)
     bits: int = key("b", integer(8, 16), default=10)
     magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualHeader(SensorRunHeader):
+    """Depth as measured in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    kind
+        What the bound of its error is measured in: 0 metres, 1 shares of the depth, 2 levels of the sensor, 3 nothing,
+        as there is no error.
+    bound
+        Metres, or a share.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.RESIDUAL
+
+    kind: int = key("k", integer(0, 3), default=3)
+    bound: float = key("e", number(0.0, 100.0), default=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

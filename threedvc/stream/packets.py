@@ -61,7 +61,7 @@ class VideoCodec(IntEnum):
     AV1 = 1
 
 
-RESERVED_TYPES = frozenset({PacketType.SNAPSHOT, PacketType.RESIDUAL})
+RESERVED_TYPES = frozenset({PacketType.SNAPSHOT})
 """Types whose payload has no coding yet: to this reader they are unknown."""
 
 TOP_LEVEL_TYPES = frozenset(

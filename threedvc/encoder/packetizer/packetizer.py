@@ -63,7 +63,7 @@ class Packetizer:
     filters
         Filter of the pictures, or None.
     videos
-        VIDEO packets in the order of their frames.
+        VIDEO, COLOR_VIDEO and RESIDUAL packets, those of each sort and sensor in the order of their frames.
     """
 
     def __init__(

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from threedvc.choices import ColorVideo
+from threedvc.choices import ColorVideo, DepthErrorKind
 from threedvc.coding.video.av1 import can_encode_av1
-from threedvc.encoder.appearance.appearance_fit import fit_appearance, fit_geometry
+from threedvc.encoder.appearance.appearance_fit import FittedAppearance, fit_appearance, fit_geometry
 from threedvc.encoder.appearance.rate_distortion import least_color_error
+from threedvc.encoder.packetizer.depth_residual import residual_packets
 from threedvc.encoder.pipeline.budget import bits_per_second, stream_budget
 from threedvc.encoder.pipeline.color_video_stream import color_video_stream
 from threedvc.encoder.pipeline.decoded_error import decoded_error
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
 from threedvc.encoder.pipeline.offline_passes import improve, improve_geometry
 from threedvc.encoder.pipeline.rate_search import rated_stream
-from threedvc.encoder.pipeline.stream_builder import StreamBuilder, batch_length
+from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices, batch_length
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.stream.packets import Packet
 
@@ -63,7 +64,7 @@ def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
     """Let a video show the colours."""
     state = improve_geometry(found, fusion)
     fitted = fit_geometry(state.scene, fusion.frames)
-    builder = StreamBuilder(state, fitted, batch_length(state.info, state.config, video=True))
+    builder = _builder(state, fitted, fusion, video=True)
     return FileStream(state, color_video_stream(builder, fusion.frames))
 
 
@@ -71,5 +72,14 @@ def _with_model_colors(found: Reconstruction, fusion: FusionPass) -> FileStream:
     """Fit the models' colours to what the frames show of them."""
     state, shifts = improve(found, fusion)
     fitted = fit_appearance(state.scene, fusion.frames, shifts)
-    builder = StreamBuilder(state, fitted, batch_length(state.info, state.config))
+    builder = _builder(state, fitted, fusion, video=False)
     return FileStream(state, rated_stream(builder, fusion.frames))
+
+
+def _builder(state: Reconstruction, fitted: FittedAppearance, fusion: FusionPass, *, video: bool) -> StreamBuilder:
+    """Return what builds streams, with the measured depth that each has if it is wanted."""
+    builder = StreamBuilder(state, fitted, batch_length(state.info, state.config, video=video))
+    if state.config.depth_error.kind is DepthErrorKind.MODEL:
+        return builder
+    packets = builder.build(StreamChoices(config=state.config))
+    return replace(builder, residuals=residual_packets(packets, state.scene, fusion.frames, builder.batch_frames))

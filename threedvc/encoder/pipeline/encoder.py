@@ -13,7 +13,7 @@ from typing import cast
 
 from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.coding.video.av1 import can_encode_av1
-from threedvc.config import ColorVideo, DepthVideo, EncoderConfig
+from threedvc.config import ColorVideo, DepthErrorKind, DepthVideo, EncoderConfig
 from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.color_choice import file_stream
 from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass, Reconstruction, fuse_frames
@@ -94,6 +94,11 @@ class Encoder:
                 "a depth video needs frames that can be read again, and builds of Pillow and OpenCV with AVIF; install "
                 "pillow 11.3 and opencv-python-headless 5 or newer, or leave out --depth-video on"
             )
+        if self.config.depth_error.kind is not DepthErrorKind.MODEL:
+            if self.config.bitrate_bps is not None:
+                raise ConfigError("the bytes of depth within a bound follow from it; give a quality in place of a rate")
+            if not again:
+                raise ConfigError("depth within a bound needs frames that can be read again; leave out --depth-error")
         if self.config.color_video is ColorVideo.ON and not (again and can_encode_av1()):
             raise ConfigError(
                 "a colour video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from threedvc.config import DepthVideo, EncoderConfig, with_step
+from threedvc.config import DepthErrorKind, DepthVideo, EncoderConfig, with_step
 from threedvc.encoder.packetizer.depth_video import choose_depth_video
 from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fit_post_filter
 from threedvc.encoder.pipeline.budget import stream_budget
@@ -70,7 +70,7 @@ def rated_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
 def depth_videos(builder: StreamBuilder, packets: Sequence[Packet], frames: FrameSequence) -> list[Packet]:
     """Return VIDEO packets of depth that the models do not tell, if it is worth it."""
     state = builder.state
-    mode = state.config.depth_video
+    mode = state.config.depth_video if state.config.depth_error.kind is DepthErrorKind.MODEL else DepthVideo.OFF
     if mode is DepthVideo.OFF or (mode is DepthVideo.AUTO and not state.config.refine):
         return []
     wanted = mode is DepthVideo.ON

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
@@ -106,14 +106,18 @@ class StreamBuilder:
         What was fitted to its pictures; None where frames cannot be read again.
     batch_frames
         Frames of a batch.
+    residuals
+        RESIDUAL packets, which every stream has.
     """
 
     state: Reconstruction
     fitted: FittedAppearance | None
     batch_frames: int
+    residuals: Sequence[Packet] = ()
 
     def build(self, choices: StreamChoices) -> list[Packet]:
         """Return all packets; raises SequenceError as `new_packetizer` does."""
+        choices = replace(choices, videos=[*choices.videos, *self.residuals])
         packetizer = new_packetizer(self.state, choices, self.fitted)
         body = batches(packetizer, self.state, 0, self.batch_frames, last=True)
         return [*packetizer.stream_headers(), *body, packetizer.end()]
