@@ -67,7 +67,7 @@ middle quality, at which recordings of hand-held cameras have 33 dB and more."""
 COARSENESS_PER_QUALITY = 1.1
 """By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32 to the coarsest."""
 VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
-"""Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 three times as long for 7 % fewer
+"""Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 takes 2.5 times as long for 7 % fewer
 bytes."""
 
 
