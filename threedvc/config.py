@@ -83,7 +83,7 @@ VIDEO_QUALITY = 32
 """The least with a colour video, the coarsest there is; below are models in their own colours, at the rates of the
 paper."""
 VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
-"""Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 three times as long for 7 % fewer
+"""Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 takes 2.5 times as long for 7 % fewer
 bytes."""
 
 

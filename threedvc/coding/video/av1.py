@@ -32,8 +32,8 @@ DECODER_THREADS: Final = 1
 holds while it closes them: that never ends."""
 MIN_SIDE: Final = 4
 """Of a picture that the encoder takes; smaller ones are continued."""
-LOG_LEVEL: Final = "SVT_LOG", "1"
-"""Variable of the environment by which the encoder's own messages are left out, and its value for errors alone."""
+LOG_LEVEL: Final = "SVT_LOG", "0"
+"""Variable of the environment by which the encoder's own messages are left out: errors are told by PyAV, too."""
 PIXEL_FORMATS: Final = {8: "yuv420p", 10: "yuv420p10le"}
 """By bits of a sample."""
 GREY_PIXEL_FORMATS: Final = {8: "gray", 10: "gray10le"}

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,11 @@ def test_any_number_and_size_come_back(width: int, height: int, count: int, bits
             assert np.abs(plane.astype(int) - other).mean() < 3 << (bits - 8)
 
 
+def interrupted() -> Iterator[Planes]:
+    yield from moving(SIZE, 3)
+    raise KeyboardInterrupt
+
+
 def test_payloads_do_not_depend_on_threads(payload: bytes) -> None:
     assert encoded(SIZE, COUNT, threads=3) == encoded(SIZE, COUNT, threads=2) == payload
 
@@ -70,6 +77,8 @@ def test_finer_is_larger() -> None:
 
 def test_nothing_is_said_on_the_way(payload: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     encoded(SIZE, 2)
+    with pytest.raises(KeyboardInterrupt):
+        encode_av1(interrupted(), SIZE, Av1Settings(crf=30, preset=10, threads=2))
     decoded(payload)
     with pytest.raises(CorruptStream):
         decoded(payload[:300] + bytes(len(payload) - 300))
