@@ -47,7 +47,9 @@ def decoded(payload: bytes, frames: list[Raw], predict: Predict | None = None, t
     return decode_depth_frames(payload, width, height, len(frames), predict, threads)
 
 
-def assert_within(bound: DepthBound, frames: list[Raw], found: list[Raw], levels: NDArray[np.int64] | None = None) -> None:
+def assert_within(
+    bound: DepthBound, frames: list[Raw], found: list[Raw], levels: NDArray[np.int64] | None = None
+) -> None:
     known = distinct_depths(iter(frames)) if levels is None else levels
     low, high = np.zeros(65536, dtype=np.int64), np.zeros(65536, dtype=np.int64)
     if len(known):
