@@ -75,7 +75,7 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               help="Largest error of every measured depth: that of the models, a length, a share, the next depth that "
               "the sensor tells, or none.")  # fmt: skip
 @click.option("--color-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
-              help="Add a video of the pictures in place of the models' colours; auto: if frames look better so at as many "
+              help="Add a video of the pictures in place of the models' colours; auto: if that looks better at as many "
               "bytes.")  # fmt: skip
 @click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
               help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."

@@ -28,7 +28,7 @@ __all__ = ["FileStream", "file_stream"]
 
 HOPE = 0.6
 """By how much the logarithm of the squared error of models' colours may fall from a quick fit to the end, at most: 2.6
-dB; aligned poses, a filter and narrower cells gave 0.5 to 2 (decision 0031)."""
+dB; aligned poses, a filter and narrower cells gave 0.5 to 2 (decision 0032)."""
 OVER_BUDGET = 1.05
 """Times the bytes of a rate that a stream may take: as far as `3dvc encode --bitrate` promises to come."""
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels import inlined, kernel
+from threedvc.kernels import inlined, kernel, lean
 from threedvc.kernels.coding.depth_prediction import BORDER, UNIT, UNIT_BITS, around, clipped, predicted
 from threedvc.kernels.coding.mixing import hash_pair, squash, stretch
 from threedvc.kernels.coding.range_coder import (
@@ -313,7 +313,7 @@ def code_steps(
     return -count if back == 1 else count
 
 
-@kernel
+@lean
 def code_row(coder: Coder, models: SliceModels, job: DepthSlice, table: DepthTable, y: int) -> bool:
     """Code a row; `y` counts the border. Return False if a value is not in the table."""
     numbers, levels, measured = job.numbers, job.levels, job.measured

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels import inlined, kernel
+from threedvc.kernels import inlined, kernel, lean
 
 __all__ = [
     "BORDER",
@@ -78,7 +78,7 @@ def predicted(levels: NDArray[np.int32], ahead: NDArray[np.int32], weights: NDAr
     return middle + (total >> WEIGHT_BITS)
 
 
-@kernel
+@lean
 def place_ahead(
     ahead: NDArray[np.int32],
     measured: NDArray[np.uint8],

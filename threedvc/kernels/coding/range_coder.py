@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels import kernel
+from threedvc.kernels import kernel, lean
 
 __all__ = [
     "CODER_SIZE",
@@ -118,7 +118,7 @@ def start_reading(coder: Coder) -> None:
         coder.state[LOW] = (coder.state[LOW] << 8) | _next_byte(coder)
 
 
-@kernel
+@lean
 def _next_byte(coder: Coder) -> int:
     position = coder.state[POSITION]
     coder.state[POSITION] = position + 1
@@ -127,13 +127,13 @@ def _next_byte(coder: Coder) -> int:
     return np.int64(0)
 
 
-@kernel
+@lean
 def overrun(coder: Coder) -> bool:
     """Tell whether a reading coder has taken more bytes than any writer leaves out."""
     return coder.state[POSITION] > coder.state[LIMIT] + MAX_OVERRUN
 
 
-@kernel
+@lean
 def _carry(coder: Coder) -> None:
     coder.state[LOW] &= MASK32
     position = coder.state[POSITION] - 1
@@ -143,7 +143,7 @@ def _carry(coder: Coder) -> None:
     coder.data[position] += 1
 
 
-@kernel
+@lean
 def code_bit(coder: Coder, bit: int, probability: int) -> int:
     """Write `bit`, or read a bit and return it.
 
@@ -187,19 +187,19 @@ def finish_writing(coder: Coder) -> None:
         coder.state[LOW] = (coder.state[LOW] << 8) & MASK32
 
 
-@kernel
+@lean
 def clamp_probability(probability: int) -> int:
     """Keep a probability (of 65536) away from certainty, so that every bit costs something."""
     return min(max(probability, MIN_PROBABILITY), MAX_PROBABILITY)
 
 
-@kernel
+@lean
 def counter_probability(counter: int) -> int:
     """Return the probability of a one, 0..65535, that a counter stands for."""
     return np.int64(counter) >> 16
 
 
-@kernel
+@lean
 def adapted_counter(value: int, bit: int, limit: int) -> int:
     """Return a counter moved towards `bit` by 1 / (n + 1.5) after n bits; n stops at `limit`."""
     seen = value & ((1 << COUNTED_BITS) - 1)
@@ -210,13 +210,13 @@ def adapted_counter(value: int, bit: int, limit: int) -> int:
     return (probability << COUNTED_BITS) | seen
 
 
-@kernel
+@lean
 def adapt_counter(counters: NDArray[np.uint32], index: int, bit: int, limit: int) -> None:
     """Replace a counter by the `adapted_counter`."""
     counters[index] = adapted_counter(np.int64(counters[index]), bit, limit)
 
 
-@kernel
+@lean
 def code_adaptive_bit(coder: Coder, bit: int, counters: NDArray[np.uint32], index: int, limit: int) -> int:
     """Code a bit with the probability of one counter and adapt the counter."""
     bit = code_bit(coder, bit, clamp_probability(counter_probability(counters[index])))
@@ -224,7 +224,7 @@ def code_adaptive_bit(coder: Coder, bit: int, counters: NDArray[np.uint32], inde
     return bit
 
 
-@kernel
+@lean
 def code_number(coder: Coder, value: int, counters: NDArray[np.uint32], first: int, limit: int) -> int:
     """Code an integer within 0..2^31 - 2 in adaptive Exp-Golomb form with counters from `first` on.
 
@@ -248,7 +248,7 @@ def code_number(coder: Coder, value: int, counters: NDArray[np.uint32], first: i
     return result - 1
 
 
-@kernel
+@lean
 def code_signed(coder: Coder, value: int, counters: NDArray[np.uint32], first: int, limit: int) -> int:
     """Code an integer of either sign: its magnitude as `code_number`, then its sign, equiprobable."""
     magnitude = code_number(coder, abs(value), counters, first, limit)

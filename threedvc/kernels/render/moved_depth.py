@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.kernels import kernel
+from threedvc.kernels import lean
 
 __all__ = ["CameraMotion", "blend_depth", "fill_gaps", "refine_depth", "splat_depth"]
 
@@ -44,7 +44,7 @@ class CameraMotion(NamedTuple):
     T_before_now: NDArray[np.float64]
 
 
-@kernel
+@lean
 def moved(pose: NDArray[np.float64], x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a point after a rigid transform."""
     return (
@@ -54,10 +54,10 @@ def moved(pose: NDArray[np.float64], x: float, y: float, z: float) -> tuple[floa
     )
 
 
-@kernel
+@lean
 def pixel_of(camera: NDArray[np.float64], x: float, y: float) -> tuple[float, float]:
     """Return the pixel of a ray with slopes x and y."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = camera
+    k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
     if k1 != 0 or k2 != 0 or p1 != 0 or p2 != 0 or k3 != 0:
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -65,10 +65,10 @@ def pixel_of(camera: NDArray[np.float64], x: float, y: float) -> tuple[float, fl
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
-    return fx * x + cx, fy * y + cy
+    return camera[0] * x + camera[2], camera[1] * y + camera[3]
 
 
-@kernel
+@lean
 def blend_depth(
     decoded: NDArray[np.uint16], expected: NDArray[np.float64], mean: NDArray[np.float64], first: int, last: int
 ) -> None:
@@ -81,7 +81,7 @@ def blend_depth(
             mean[y, x] = came
 
 
-@kernel
+@lean
 def splat_depth(depth: NDArray[np.float64], motion: CameraMotion, found: NDArray[np.float64]) -> None:
     """Move every known pixel to the nearest one of the next view; of several the nearest to the camera stays."""
     height, width = depth.shape
@@ -101,7 +101,7 @@ def splat_depth(depth: NDArray[np.float64], motion: CameraMotion, found: NDArray
                 found[row, column] = pz
 
 
-@kernel
+@lean
 def fill_gaps(found: NDArray[np.float64], filled: NDArray[np.float64], first: int, last: int) -> None:
     """Write rows of a map in which pixels that nothing has come to take what is left, above, right or below."""
     height, width = found.shape
@@ -119,7 +119,7 @@ def fill_gaps(found: NDArray[np.float64], filled: NDArray[np.float64], first: in
             filled[y, x] = z
 
 
-@kernel
+@lean
 def read_between(depth: NDArray[np.float64], u: float, v: float, near: float) -> float:
     """Return the depth at a place between four pixels, of those on the surface at about `near`; 0 if unknown."""
     height, width = depth.shape
@@ -138,7 +138,7 @@ def read_between(depth: NDArray[np.float64], u: float, v: float, near: float) ->
     return total / parts if parts >= LEAST_PART else 0.0
 
 
-@kernel
+@lean
 def refine_depth(
     depth: NDArray[np.float64],
     motion: CameraMotion,
