@@ -160,7 +160,7 @@ def test_support_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_understood_types() -> None:
     assert is_understood(PacketType.MODEL, critical=True)
     assert not is_understood(0x99, critical=False)
-    assert not is_understood(PacketType.RESIDUAL, critical=False)
+    assert not is_understood(PacketType.SNAPSHOT, critical=False)
     with pytest.raises(UnsupportedVersion, match="a packet of type 0x99 is needed to decode"):
         is_understood(0x99, critical=True)
     with pytest.raises(UnsupportedVersion, match="a packet of RESIDUAL is needed to decode"):
