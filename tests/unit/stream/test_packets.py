@@ -163,8 +163,8 @@ def test_understood_types() -> None:
     assert not is_understood(PacketType.SNAPSHOT, critical=False)
     with pytest.raises(UnsupportedVersion, match="a packet of type 0x99 is needed to decode"):
         is_understood(0x99, critical=True)
-    with pytest.raises(UnsupportedVersion, match="a packet of RESIDUAL is needed to decode"):
-        is_understood(PacketType.RESIDUAL, critical=True)
+    with pytest.raises(UnsupportedVersion, match="a packet of SNAPSHOT is needed to decode"):
+        is_understood(PacketType.SNAPSHOT, critical=True)
 
 
 def test_names_and_flags() -> None:
