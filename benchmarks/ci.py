@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from reporting import REPOSITORY, commit, markdown_table
 from threedvc.coding.update import encode_update_with_result
-from threedvc.config import EncoderConfig, Motion, Preset, RenderConfig, with_preset
+from threedvc.config import ColorVideo, EncoderConfig, Motion, Preset, RenderConfig, with_preset
 from threedvc.decoder.replay import replay
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import fuse, observe
@@ -69,7 +69,13 @@ STENCIL_SIDE, SORTED = 1200, 300_000
 """Sizes of the yardstick: a few tens of milliseconds, half of it compiled loops, half NumPy."""
 
 LIVE = replace(with_preset(EncoderConfig(), Preset.LIVE), threads=1, motion=Motion.TRACK, voxel_size_m=VOXEL_SIZE_M)
-FILE = replace(with_preset(EncoderConfig(), Preset.FAST), threads=1, motion=Motion.KNOWN, voxel_size_m=VOXEL_SIZE_M)
+FILE = replace(
+    with_preset(EncoderConfig(), Preset.FAST),
+    color_video=ColorVideo.OFF,
+    threads=1,
+    motion=Motion.KNOWN,
+    voxel_size_m=VOXEL_SIZE_M,
+)
 """Both presets by which something is measured: one that tracks and sends as it goes, one that fuses first; a single
 thread, so that the number of cores does not matter."""
 

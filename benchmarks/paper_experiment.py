@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import montage
 from paper_report import EARLY, OBJECT, Result, Snapshot, report
 from spheres import Spheres, View, draw, spheres_of_cells
-from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
+from threedvc.config import ColorVideo, EncoderConfig, Motion, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.encoder.fusion.surface_extraction import extract_surface
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
@@ -105,6 +105,7 @@ def run(sequence: FrameSequence, path: Path, voxel_size_m: float | None) -> Resu
     """Encode the sequence into a file and measure it; None: the encoder chooses the size of cells."""
     # Cameras and poses are exact as they are; refining them would only add error.
     config = EncoderConfig(
+        color_video=ColorVideo.OFF,
         voxel_size_m=voxel_size_m,
         motion=Motion.KNOWN,
         sensor=Sensor.IDEAL,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import threedvc
-from threedvc.config import AppearanceConfig, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
+from threedvc.config import AppearanceConfig, ColorVideo, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
 from threedvc.formats.decoding import DecodedFrame
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -26,12 +26,18 @@ FRAMES = 8
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
 CASES: dict[str, tuple[str, EncoderConfig]] = {
-    "paper": ("paper", EncoderConfig(voxel_size_m=0.02, batch_frames=4)),
-    "objects": ("objects", EncoderConfig(voxel_size_m=0.02, segmentation=MASKS)),
-    "room": ("room", EncoderConfig(voxel_size_m=0.04)),
-    "room_relief": ("room", EncoderConfig(voxel_size_m=0.05, appearance=AppearanceConfig(relief_bits=2))),
-    "paper_picture": ("paper", EncoderConfig(motion=Motion.KNOWN, segmentation=THRESHOLD, batch_frames=4)),
-    "room_live": ("room", EncoderConfig(voxel_size_m=0.04, causal=True, batch_frames=3)),
+    "paper": ("paper", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.02, batch_frames=4)),
+    "objects": ("objects", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.02, segmentation=MASKS)),
+    "room": ("room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04)),
+    "room_relief": (
+        "room",
+        EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.05, appearance=AppearanceConfig(relief_bits=2)),
+    ),
+    "paper_picture": (
+        "paper",
+        EncoderConfig(color_video=ColorVideo.OFF, motion=Motion.KNOWN, segmentation=THRESHOLD, batch_frames=4),
+    ),
+    "room_live": ("room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04, causal=True, batch_frames=3)),
 }
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import cache
 
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
+from threedvc.config import ColorVideo, EncoderConfig, Motion, PoseConfig, SegmentationConfig, SegmentationMode, Sensor
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
 from threedvc.encoder.pipeline.encoder import Encoder
@@ -57,6 +57,7 @@ def config(**changes: object) -> EncoderConfig:
     values = {
         "batch_frames": 3,
         "threads": 1,
+        "color_video": ColorVideo.OFF,
         "sensor": Sensor.IDEAL,
         "refine": False,
         "motion": Motion.KNOWN,

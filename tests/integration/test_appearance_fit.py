@@ -17,6 +17,7 @@ from helpers.streams import ListSequence, drawn
 from threedvc.coding.picture import can_encode_pictures
 from threedvc.config import (
     AppearanceConfig,
+    ColorVideo,
     EncoderConfig,
     Motion,
     Preset,
@@ -47,7 +48,9 @@ MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
 WHOLE = SegmentationConfig(mode=SegmentationMode.NONE)
 SIZES = {"paper": (80, 80), "small room": (96, 72), "room": (128, 96), "objects": (128, 96)}
-FILE = EncoderConfig(threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=WHOLE, batch_frames=4)
+FILE = EncoderConfig(
+    color_video=ColorVideo.OFF, threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=WHOLE, batch_frames=4
+)
 FAST = with_preset(FILE, Preset.FAST)
 PAPER = replace(FAST, segmentation=THRESHOLD)
 needs_avif = pytest.mark.skipif(not can_encode_pictures(), reason="this build of OpenCV has no AVIF")

@@ -18,7 +18,7 @@ from helpers.nonrigid_scene import nonrigid_sequence
 from helpers.streams import ListSequence
 from threedvc.coding import picture_sequence
 from threedvc.coding.picture_sequence import can_encode_sequences, encode_sequence
-from threedvc.config import DepthVideo, EncoderConfig, Motion, RenderConfig
+from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion, RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.verification import verified
 from threedvc.encoder.packetizer import depth_video as video_choice
@@ -36,7 +36,9 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 with_video = pytest.mark.skipif(not can_encode_sequences(), reason="these builds of Pillow and OpenCV have no AVIF")
 FRAMES = 12
 LEVELS = depth_levels(0.5, 1.01)
-CONFIG = EncoderConfig(motion=Motion.KNOWN, depth_video=DepthVideo.ON, refine=False, threads=1)
+CONFIG = EncoderConfig(
+    color_video=ColorVideo.OFF, motion=Motion.KNOWN, depth_video=DepthVideo.ON, refine=False, threads=1
+)
 MODELS = RenderConfig(captured_depth=False, threads=1)
 pytestmark = pytest.mark.usefixtures("quick_av1")
 

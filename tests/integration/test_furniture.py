@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from helpers.streams import ListSequence
-from threedvc.config import AppearanceConfig, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
+from threedvc.config import AppearanceConfig, ColorVideo, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
 from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass
 from threedvc.encoder.pipeline.offline_passes import find_objects, improve
 from threedvc.encoder.reconstruction.scene import Scene
@@ -23,6 +23,7 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 FRAMES, SIZE, RADIUS_M = 16, (96, 72), 0.45
 HIDDEN = range(9, 12)
 CONFIG = EncoderConfig(
+    color_video=ColorVideo.OFF,
     motion=Motion.TRACK,
     segmentation=SegmentationConfig(mode=SegmentationMode.MASKS),
     refine=False,

@@ -11,14 +11,18 @@ import pytest
 
 from helpers.hand_scene import BALL, BOX, pushing
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
+from threedvc.config import ColorVideo, EncoderConfig, Motion, Preset, SegmentationConfig, SegmentationMode, with_preset
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.segmentation.motion.transient_numbers import MAX_SEGMENT_FRAMES, TRANSIENT_NUMBERS
 from threedvc.encoder.segmentation.sequence_labels import VOID_LABEL, SequenceLabels
 
 CONFIG = EncoderConfig(
-    threads=1, motion=Motion.TRACK, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION), refine=False
+    color_video=ColorVideo.OFF,
+    threads=1,
+    motion=Motion.TRACK,
+    segmentation=SegmentationConfig(mode=SegmentationMode.MOTION),
+    refine=False,
 )
 FRAMES, SIZE = 54, (160, 120)
 

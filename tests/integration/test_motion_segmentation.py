@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threedvc.config import EncoderConfig, Motion, SegmentationConfig, SegmentationMode
+from threedvc.config import ColorVideo, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
@@ -26,7 +26,11 @@ from threedvc.stream.pose_status import PoseStatus
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 CONFIG = EncoderConfig(
-    threads=1, motion=Motion.TRACK, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION), refine=False
+    color_video=ColorVideo.OFF,
+    threads=1,
+    motion=Motion.TRACK,
+    segmentation=SegmentationConfig(mode=SegmentationMode.MOTION),
+    refine=False,
 )
 SIZE = (96, 72)
 FRAMES = 28

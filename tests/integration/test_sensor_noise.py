@@ -10,7 +10,7 @@ import pytest
 
 from helpers.nonrigid_scene import nonrigid_sequence
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, Sensor
+from threedvc.config import ColorVideo, EncoderConfig, Motion, Sensor
 from threedvc.encoder.fusion.noise_meter import MIN_METERED_FRAMES, NoiseMeter
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.frame_intake import METERED_FRAMES
@@ -19,7 +19,7 @@ from threedvc.frames.sensor_model import SENSORS
 from threedvc.synthesis import SyntheticSequence, make_scene
 
 FRAMES = METERED_FRAMES + 3
-FAST = EncoderConfig(motion=Motion.KNOWN, refine=False, threads=1)
+FAST = EncoderConfig(color_video=ColorVideo.OFF, motion=Motion.KNOWN, refine=False, threads=1)
 pytestmark = pytest.mark.usefixtures("quick_av1")
 
 

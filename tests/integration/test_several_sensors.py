@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, Preset, with_preset
+from threedvc.config import ColorVideo, EncoderConfig, Motion, Preset, with_preset
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.extrinsic_calibration import calibrate_extrinsics
 from threedvc.encoder.reconstruction.scene import Scene
@@ -33,7 +33,9 @@ from threedvc.units import NANOSECONDS
 FRAMES = 8
 PERIOD_NS = NANOSECONDS // 30
 MS = NANOSECONDS // 1000
-FAST = with_preset(EncoderConfig(voxel_size_m=0.04, motion=Motion.TRACK, threads=1), Preset.FAST)
+FAST = with_preset(
+    EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04, motion=Motion.TRACK, threads=1), Preset.FAST
+)
 pytestmark = pytest.mark.usefixtures("quick_av1")
 
 

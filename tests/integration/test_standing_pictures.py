@@ -24,7 +24,7 @@ from helpers.encoded_scenes import (
     stream,
 )
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, SegmentationConfig, Sensor
+from threedvc.config import ColorVideo, EncoderConfig, Motion, SegmentationConfig, Sensor
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
@@ -120,7 +120,7 @@ def test_repeating_the_last_frame_costs_next_to_nothing(motion: Motion) -> None:
     ]
     sizes = []
     for frames in (sequence.frames, [*sequence.frames, *again]):
-        encoder = Encoder(sequence.info, EncoderConfig(motion=motion, threads=1))
+        encoder = Encoder(sequence.info, EncoderConfig(color_video=ColorVideo.OFF, motion=motion, threads=1))
         sizes.append(stream_bytes(list(encoder.packets(ListSequence(frames, sequence.info)))))
     assert sizes[1] - sizes[0] < 100
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.streams import ListSequence
-from threedvc.config import EncoderConfig, Motion, Sensor
+from threedvc.config import ColorVideo, EncoderConfig, Motion, Sensor
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.reconstruction.scene import Scene
@@ -115,7 +115,14 @@ def test_a_camera_that_comes_back_at_once_needs_no_part() -> None:
 @pytest.mark.parametrize("causal", [False, True])
 def test_the_stream_goes_on(causal: bool) -> None:
     numbers = [*FIRST, *[None] * COVERED, *ELSEWHERE[:6]]
-    settings = EncoderConfig(motion=Motion.TRACK, sensor=Sensor.IDEAL, causal=causal, refine=False, voxel_size_m=0.08)
+    settings = EncoderConfig(
+        color_video=ColorVideo.OFF,
+        motion=Motion.TRACK,
+        sensor=Sensor.IDEAL,
+        causal=causal,
+        refine=False,
+        voxel_size_m=0.08,
+    )
     decoder, encoder = Decoder(), Encoder(INFO, settings)
     states = list(decoder.frames(encoder.packets(recording(*numbers))))
     assert decoder.complete

@@ -16,6 +16,7 @@ from helpers.streams import FRAMES, INFO, ListSequence, gradient_frame, packed_s
 from reference.exploration import best_visibility
 from threedvc.config import (
     AppearanceConfig,
+    ColorVideo,
     EncoderConfig,
     ExplorationConfig,
     Motion,
@@ -255,6 +256,7 @@ TOY = replace(make_scene("paper", frames=21, size=(64, 64)), background=())
 def recorded(sequence: FrameSequence, voxel_size_m: float, mode: SegmentationMode) -> tuple[Decoder, list[FrameState]]:
     """Return what a stream of a sequence decodes to."""
     config = EncoderConfig(
+        color_video=ColorVideo.OFF,
         voxel_size_m=voxel_size_m,
         motion=Motion.KNOWN,
         refine=False,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from helpers.streams import ListSequence, drawn
 from threedvc.coding.entropy.range_coder import RangeWriter, new_counters
 from threedvc.coding.filters import MAX_FACTOR, decode_filter, encode_filter
-from threedvc.config import EncoderConfig, FilterParts, Motion, Preset, RenderConfig, Sensor, with_preset
+from threedvc.config import ColorVideo, EncoderConfig, FilterParts, Motion, Preset, RenderConfig, Sensor, with_preset
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.packetizer.post_filter_fit import fit_post_filter
 from threedvc.encoder.pipeline.encoder import Encoder
@@ -30,7 +30,7 @@ from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 
-FILE = EncoderConfig(threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.04)
+FILE = EncoderConfig(color_video=ColorVideo.OFF, threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.04)
 FRAMES = 5
 
 

@@ -11,6 +11,7 @@ import pytest
 from helpers.streams import ListSequence, drawn
 from threedvc.coding.color import ColorSettings
 from threedvc.config import (
+    ColorVideo,
     EncoderConfig,
     Motion,
     Preset,
@@ -92,7 +93,14 @@ def test_steps_keep_within_their_bounds(weight: float) -> None:
 
 def test_an_object_in_focus_gets_better_at_the_cost_of_the_rest() -> None:
     sequence = filmed("objects")
-    config = EncoderConfig(threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, segmentation=MASKS, voxel_size_m=0.03)
+    config = EncoderConfig(
+        color_video=ColorVideo.OFF,
+        threads=1,
+        sensor=Sensor.IDEAL,
+        motion=Motion.KNOWN,
+        segmentation=MASKS,
+        voxel_size_m=0.03,
+    )
     plain = replace(with_preset(config, Preset.FAST), bitrate_bps=100e3)
     numbers = {int(number) for frame in sequence.frames for number in np.unique(frame.mask)} - {0}
     focus = tuple(RegionOfInterest(weight=10, number=number) for number in sorted(numbers))
@@ -107,7 +115,13 @@ def test_an_object_in_focus_gets_better_at_the_cost_of_the_rest() -> None:
 def test_a_box_in_focus_gets_better(causal: bool) -> None:
     sequence = filmed("room")
     config = EncoderConfig(
-        threads=1, sensor=Sensor.IDEAL, motion=Motion.KNOWN, voxel_size_m=0.06, causal=causal, refine=False
+        color_video=ColorVideo.OFF,
+        threads=1,
+        sensor=Sensor.IDEAL,
+        motion=Motion.KNOWN,
+        voxel_size_m=0.06,
+        causal=causal,
+        refine=False,
     )
     whole = (-50.0, 50.0, -50.0, 50.0, -50.0, 50.0)
     sizes, squares = [], []
@@ -121,6 +135,12 @@ def test_a_box_in_focus_gets_better(causal: bool) -> None:
 
 def test_a_focus_on_an_object_that_is_not_there_is_refused() -> None:
     sequence = filmed("room", 3)
-    config = EncoderConfig(threads=1, sensor=Sensor.IDEAL, focus=(RegionOfInterest(weight=4, number=7),), refine=False)
+    config = EncoderConfig(
+        color_video=ColorVideo.OFF,
+        threads=1,
+        sensor=Sensor.IDEAL,
+        focus=(RegionOfInterest(weight=4, number=7),),
+        refine=False,
+    )
     with pytest.raises(ConfigError, match="focus on object 7: room has object 0; name one of them"):
         list(Encoder(sequence.info, config).packets(sequence))
