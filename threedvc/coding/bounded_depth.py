@@ -44,8 +44,8 @@ FIRST_WEIGHT = 19660
 """Of each context, in 65536ths."""
 GAP_CLASSES = 8
 """Gaps of a table that have counters of their own; the greater ones share them."""
-MAX_SLICES = 64
-"""Far more than machines have cores."""
+MAX_SLICES = 16
+"""As many as machines have cores; each takes 1.6 MB of tables."""
 ROWS_PER_SLICE = 120
 """Rows of a slice at least: each learns its statistics alone, and half as many cost 1.5 to 6 % more bytes."""
 USUAL_SLICES = 8
