@@ -109,11 +109,13 @@ class SliceReader:
         self.mask, self.steps = Blend(), Blend()
         self.certain, self.rest = fresh(), fresh()
 
-    def frame(self, ahead: Grid, known: Grid, before: Grid, weights: list[int], start: bool) -> tuple[Grid, Grid]:
-        """Return numbers and levels; `ahead` has the border, the others are 0 where nothing is told."""
+    def frame(
+        self, ahead: Grid, known: Grid, before: Grid, last: Grid, weights: list[int], start: bool
+    ) -> tuple[Grid, Grid]:
+        """Return numbers and levels; `ahead` and `last` have the border, the others are 0 where nothing is told."""
         self.numbers: defaultdict[tuple[int, int], int] = defaultdict(int)
         self.misses: defaultdict[tuple[int, int], int] = defaultdict(int)
-        self.ahead, self.known, self.before = ahead, known, before
+        self.ahead, self.known, self.before, self.old = ahead, known, before, last
         top = self.first
         self.levels: Grid = {(y, x): ahead[y, x] for y in range(top - 3, top) for x in range(-3, self.width + 3)}
         for y in range(top, self.last):
@@ -135,6 +137,7 @@ class SliceReader:
         taps += [self.levels[y - j, x + i] for j in (1, 2, 3) for i in range(-3, 4)]
         taps += [self.ahead[y + j, x + i] for j in (-1, 0, 1) for i in (-1, 0, 1)]
         taps += [self.ahead[y, x + 2], self.ahead[y + 2, x]]
+        taps += [self.old[y + j, x + i] for j, i in ((0, 0), (-1, 0), (0, -1), (0, 1), (1, 0))]
         total = sum(min(max(tap - middle, -256), 256) * w for tap, w in zip(taps, weights, strict=True))
         guess = self.levels[y, x - 1] if plain else middle + ((total + 256) >> 9)
         guess = min(max(guess, 64), 64 * self.size)
@@ -225,7 +228,7 @@ def read_depth(
     settings = fresh()
     memory, slices = head.number(settings), head.number(settings)
     near, far = fresh(), fresh()
-    weights = [[0] * 35]
+    weights = [[0] * 40]
     for _ in range(count):
         last = weights[-1]
         new = head.read(32768)
@@ -267,12 +270,14 @@ def _frames(
                 raw = int(foretold[y, x]) if foretold is not None else 0
                 known[y, x] = int(raw > 0)
                 inner[y, x] = _place(values, raw) if raw else levels.get((y, x), 0)
-        ahead = {(y, x): inner[min(max(y, 0), height - 1), min(max(x, 0), width - 1)] for y, x in border}
+        nearest = {(y, x): (min(max(y, 0), height - 1), min(max(x, 0), width - 1)) for y, x in border}
+        ahead = {at: inner[nearest[at]] for at in border}
+        last = {at: levels.get(nearest[at], 0) for at in border}
         before = {(y, x): int(frames[-1][y, x] > 0) for y in range(height) for x in range(width)} if frames else {}
         levels, frame = {}, np.zeros(shape, dtype=np.uint16)
         for reader in readers:
             start = number == 0 and foretold is None
-            numbers, found = reader.frame(ahead, known, before, weights[number], start)
+            numbers, found = reader.frame(ahead, known, before, last, weights[number], start)
             levels |= {at: found[at] for at in found if reader.first <= at[0] < reader.last and 0 <= at[1] < width}
             for at, value in numbers.items():
                 if value:

@@ -44,8 +44,8 @@ FIRST_WEIGHT = 19660
 """Of each context, in 65536ths."""
 GAP_CLASSES = 8
 """Gaps of a table that have counters of their own; the greater ones share them."""
-MAX_SLICES = 64
-"""Far more than machines have cores."""
+MAX_SLICES = 16
+"""As many as machines have cores; each takes 1.6 MB of tables."""
 ROWS_PER_SLICE = 120
 """Rows of a slice at least: each learns its statistics alone, and half as many cost 1.5 to 6 % more bytes."""
 USUAL_SLICES = 8
@@ -92,25 +92,34 @@ class _Slice:
             numbers=self.numbers,
             levels=self.levels,
             misses=self.misses,
-            ahead=frame.ahead[with_border],
-            measured=frame.measured[with_border],
+            ahead=frame.expected.ahead[with_border],
+            before=frame.expected.before[with_border],
+            measured=frame.expected.measured[with_border],
             weights=frame.weights,
-            first=int(frame.first),
+            first=int(frame.expected.first),
         )
         coder.reserve(BYTES_PER_PIXEL * wishes.size)
         if not code_slice(coder.coder, self.models, job, table):
             raise CorruptStream("coded depth ends too early or holds an impossible value; the stream is damaged")
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Expected:
+    """What is known of a frame before it is coded; see `DepthSlice`."""
+
+    ahead: NDArray[np.int32]
+    before: NDArray[np.int32]
+    measured: NDArray[np.uint8]
+    first: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Frame:
     """What the slices of a frame are coded from."""
 
     wishes: NDArray[np.uint16]
-    ahead: NDArray[np.int32]
-    measured: NDArray[np.uint8]
+    expected: _Expected
     weights: NDArray[np.int64]
-    first: bool
 
 
 class _Pictures:
@@ -124,24 +133,24 @@ class _Pictures:
         self.decoded: NDArray[np.uint16] | None = None
         self.shape = height, width
 
-    def ahead(
-        self, foretold: NDArray[np.uint16] | None, threads: int
-    ) -> tuple[NDArray[np.int32], NDArray[np.uint8], bool]:
-        """Return what is expected of the next frame, what is known of its mask, and whether all that is nothing."""
+    def expect(self, foretold: NDArray[np.uint16] | None, threads: int) -> _Expected:
+        """Return what is expected of the next frame."""
         height, width = self.shape
-        ahead = np.zeros((height + 2 * BORDER, width + 2 * BORDER), dtype=np.int32)
-        measured = np.zeros(ahead.shape, dtype=np.uint8)
+        shape = height + 2 * BORDER, width + 2 * BORDER
+        measured = np.zeros(shape, dtype=np.uint8)
         if self.decoded is None and foretold is None:
-            return ahead, measured, True
+            nothing = np.zeros(shape, dtype=np.int32)
+            return _Expected(ahead=nothing, before=nothing, measured=measured, first=True)
         inner = slice(BORDER, -BORDER), slice(BORDER, -BORDER)
         if self.decoded is not None:
             measured[inner] = self.decoded > 0
         levels = np.concatenate([s.levels[BORDER:, BORDER:-BORDER] for s in self.slices])
-        if foretold is None:
-            ahead[inner] = levels
-        else:
+        before = ahead = np.pad(levels, BORDER, mode="edge")
+        if foretold is not None:
+            ahead = np.empty(shape, dtype=np.int32)
             for_ranges(lambda a, b: place_ahead(ahead, measured, foretold, self.places, levels, a, b), height, threads)
-        return np.ascontiguousarray(np.pad(ahead[inner], BORDER, mode="edge")), measured, False
+            ahead = np.pad(ahead[inner], BORDER, mode="edge")
+        return _Expected(ahead=ahead, before=before, measured=measured, first=False)
 
     def code(self, coders: Sequence[RangeCoder], frame: _Frame, table: DepthTable, threads: int) -> None:
         """Code a frame, after which it is the one before."""
@@ -252,10 +261,10 @@ def _encode(frames: Sequence[NDArray[np.uint16]], choice: _Choice, predict: Pred
     fit = WeightFit()
     sent: list[NDArray[np.int64] | None] = []
     for number, wishes in enumerate(frames):
-        foretold = _foretold(predict, number, pictures)
-        ahead, measured, first = pictures.ahead(foretold, threads)
-        sent.append(fit.update(pictures.places, wishes, ahead, first, threads))
-        frame = _Frame(wishes=wishes, ahead=ahead, measured=measured, weights=fit.weights, first=first)
+        expected = pictures.expect(_foretold(predict, number, pictures), threads)
+        filmed = np.where(wishes > 0, pictures.places[wishes], 0)
+        sent.append(fit.update(filmed, expected.ahead, expected.before, expected.first, threads))
+        frame = _Frame(wishes=wishes, expected=expected, weights=fit.weights)
         pictures.code(writers, frame, choice.table, threads)
         assert pictures.decoded is not None
         choice.check(wishes, pictures.decoded)
@@ -404,8 +413,8 @@ def depth_frames(
     pictures = _Pictures(values, height, width, slices)
     wishes = np.zeros((height, width), dtype=np.uint16)
     for number in range(count):
-        ahead, measured, first = pictures.ahead(_foretold(predict, number, pictures), threads)
-        frame = _Frame(wishes=wishes, ahead=ahead, measured=measured, weights=weights[number + 1], first=first)
+        expected = pictures.expect(_foretold(predict, number, pictures), threads)
+        frame = _Frame(wishes=wishes, expected=expected, weights=weights[number + 1])
         pictures.code(readers, frame, table, threads)
         assert pictures.decoded is not None
         yield pictures.decoded

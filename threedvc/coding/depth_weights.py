@@ -33,21 +33,29 @@ class WeightFit:
         self.frames, self.due = 0, 1
 
     def update(
-        self, places: NDArray[np.int32], wishes: NDArray[np.uint16], ahead: NDArray[np.int32], first: bool, threads: int
+        self,
+        filmed: NDArray[np.int32],
+        ahead: NDArray[np.int32],
+        before: NDArray[np.int32],
+        first: bool,
+        threads: int,
     ) -> NDArray[np.int64] | None:
-        """Return new weights for a frame, or None if they stay."""
+        """Return new weights for a frame, or None if they stay.
+
+        `filmed` (h, w) holds the places in the table of its depths, 0 for none; the others have a border.
+        """
         self.frames += 1
         if self.frames < self.due and not first:
             return None
-        present = wishes > 0
-        levels = np.pad(np.where(present, places[wishes], 0), BORDER, mode="edge").astype(np.int32)
-        starts = list(range(0, len(wishes), FIT_ROWS))
+        present = filmed > 0
+        levels = np.pad(filmed, BORDER, mode="edge")
+        starts = list(range(0, len(filmed), FIT_ROWS))
         parts = np.zeros((len(starts), *self.products.shape), dtype=np.int64)
 
         def work(a: int, b: int) -> None:
             for k in range(a, b):
-                last = min(starts[k] + FIT_ROWS, len(wishes))
-                add_products(levels, ahead, present, FIT_SPACING, parts[k], starts[k], last)
+                last = min(starts[k] + FIT_ROWS, len(filmed))
+                add_products(levels, ahead, before, present, FIT_SPACING, parts[k], starts[k], last)
 
         for_ranges(work, len(starts), threads)
         found = parts.sum(axis=0)

@@ -133,6 +133,8 @@ class DepthSlice(NamedTuple):
         The same shape, int32: steps from the prediction.
     ahead
         (rows + 6, columns + 6) int32 what the frames before predict, in 64ths of a step.
+    before
+        The same shape, int32: the levels of the frame before.
     measured
         The same shape, uint8: 1 where the frame before has a value, 2 more where it says what comes here.
     weights
@@ -146,6 +148,7 @@ class DepthSlice(NamedTuple):
     levels: NDArray[np.int32]
     misses: NDArray[np.int32]
     ahead: NDArray[np.int32]
+    before: NDArray[np.int32]
     measured: NDArray[np.uint8]
     weights: NDArray[np.int64]
     first: int
@@ -337,7 +340,7 @@ def code_row(coder: Coder, models: SliceModels, job: DepthSlice, table: DepthTab
         if job.first == 1 and y == BORDER:
             guess = np.int64(levels[y, x - 1])
         else:
-            guess = predicted(levels, job.ahead, job.weights, y, x)
+            guess = predicted(levels, job.ahead, job.before, job.weights, y, x)
         guess = min(max(guess, np.int64(UNIT)), table.size * UNIT)
         if not reading:
             wish = np.int64(job.wishes[y - BORDER, x - BORDER])

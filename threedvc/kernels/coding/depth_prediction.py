@@ -30,10 +30,10 @@ BORDER = 3
 """Pixels around a picture that predictions reach. All numbers here but the last two are part of the
 format (docs/coding.md)."""
 NEAR_TAPS = BORDER + BORDER * (2 * BORDER + 1)
-AHEAD_TAPS = 11
-TAPS = NEAR_TAPS + AHEAD_TAPS
-"""Values that a prediction sums: three before in the row, seven in each of the three rows above, and eleven of the map
-ahead, which knows what comes later, too."""
+AHEAD_TAPS, BEFORE_TAPS = 11, 5
+TAPS = NEAR_TAPS + AHEAD_TAPS + BEFORE_TAPS
+"""Values that a prediction sums: three before in the row, seven in each of the three rows above, eleven of the map
+ahead, which knows what comes later, too, and five of the frame before: some noise sticks to pixels, not to surfaces."""
 WEIGHT_BITS = 9
 """Weights of them are in 1/512: a coarser step costs bits, a finer one bytes."""
 UNIT_BITS = 6
@@ -60,8 +60,15 @@ def around(levels: NDArray[np.int32], y: int, x: int) -> int:
 
 
 @inlined
-def predicted(levels: NDArray[np.int32], ahead: NDArray[np.int32], weights: NDArray[np.int64], y: int, x: int) -> int:
-    """Return the weighted sum for a pixel; both arrays have the same border before it."""
+def predicted(
+    levels: NDArray[np.int32],
+    ahead: NDArray[np.int32],
+    before: NDArray[np.int32],
+    weights: NDArray[np.int64],
+    y: int,
+    x: int,
+) -> int:
+    """Return the weighted sum for a pixel; the arrays have the same border before it."""
     middle = around(levels, y, x)
     total = np.int64(1 << (WEIGHT_BITS - 1))
     for i in range(BORDER):
@@ -73,8 +80,13 @@ def predicted(levels: NDArray[np.int32], ahead: NDArray[np.int32], weights: NDAr
     for j in range(3):
         for i in range(3):
             total += clipped(ahead[y - 1 + j, x - 1 + i] - middle, REACH) * weights[NEAR_TAPS + 3 * j + i]
-    total += clipped(ahead[y, x + 2] - middle, REACH) * weights[TAPS - 2]
-    total += clipped(ahead[y + 2, x] - middle, REACH) * weights[TAPS - 1]
+    total += clipped(ahead[y, x + 2] - middle, REACH) * weights[NEAR_TAPS + 9]
+    total += clipped(ahead[y + 2, x] - middle, REACH) * weights[NEAR_TAPS + 10]
+    total += clipped(before[y, x] - middle, REACH) * weights[TAPS - 5]
+    total += clipped(before[y - 1, x] - middle, REACH) * weights[TAPS - 4]
+    total += clipped(before[y, x - 1] - middle, REACH) * weights[TAPS - 3]
+    total += clipped(before[y, x + 1] - middle, REACH) * weights[TAPS - 2]
+    total += clipped(before[y + 1, x] - middle, REACH) * weights[TAPS - 1]
     return middle + (total >> WEIGHT_BITS)
 
 
@@ -106,6 +118,7 @@ def place_ahead(
 def add_products(
     levels: NDArray[np.int32],
     ahead: NDArray[np.int32],
+    before: NDArray[np.int32],
     present: NDArray[np.bool_],
     spacing: int,
     products: NDArray[np.int64],
@@ -134,7 +147,10 @@ def add_products(
                 spread = max(spread, abs(taps[i]))
             for i in range(9):
                 taps[NEAR_TAPS + i] = ahead[y - 1 + i // 3, x - 1 + i % 3] - middle
-            taps[TAPS - 2], taps[TAPS - 1] = ahead[y, x + 2] - middle, ahead[y + 2, x] - middle
+            taps[NEAR_TAPS + 9], taps[NEAR_TAPS + 10] = ahead[y, x + 2] - middle, ahead[y + 2, x] - middle
+            taps[TAPS - 5], taps[TAPS - 4] = before[y, x] - middle, before[y - 1, x] - middle
+            taps[TAPS - 3], taps[TAPS - 2] = before[y, x - 1] - middle, before[y, x + 1] - middle
+            taps[TAPS - 1] = before[y + 1, x] - middle
             taps[TAPS] = levels[y, x] - middle
             if spread > FIT_RANGE or abs(taps[TAPS]) > FIT_ERROR:
                 continue
