@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.poses import PoseCoder
-from threedvc.coding.video.planes import CapturedColor
+from threedvc.coding.video.planes import ShownColor
 from threedvc.geometry.pose import Pose, identity
 from threedvc.render.captured_depth import CapturedDepth
 from threedvc.stream.headers import SensorHeader, StreamHeader
@@ -46,7 +46,7 @@ class SensorState:
         self.shift, self.gain = identity(), NEUTRAL
         self._correction_ns = 0
         self._captured_depth: CapturedDepth | None = None
-        self._captured_color: CapturedColor | None = None
+        self._captured_color: ShownColor | None = None
 
     def set_shift(self, T_shifted_camera: Pose) -> None:
         """Place the depth camera for colour pictures, from the next frame on."""
@@ -64,7 +64,7 @@ class SensorState:
         """Let a depth picture stand for the drawn one in the next frame alone."""
         self._captured_depth = depth
 
-    def set_captured_color(self, color: CapturedColor) -> None:
+    def set_captured_color(self, color: ShownColor) -> None:
         """Let a colour picture stand for the drawn one in the next frame alone."""
         self._captured_color = color
 
@@ -80,7 +80,7 @@ class SensorState:
         depth, self._captured_depth = self._captured_depth, None
         return depth
 
-    def take_captured_color(self) -> CapturedColor | None:
+    def take_captured_color(self) -> ShownColor | None:
         """Return the colour of its next frame, if there is a video of it, which is then used up."""
         color, self._captured_color = self._captured_color, None
         return color
