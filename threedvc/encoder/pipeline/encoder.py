@@ -13,6 +13,7 @@ from typing import cast
 
 from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.coding.video.av1 import can_encode_av1
+from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.config import ColorVideo, DepthVideo, EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import fit_appearance, fit_geometry
 from threedvc.encoder.packetizer.packetizer import Packetizer
@@ -44,6 +45,8 @@ VIDEO_BATCH_S = 10
 seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
 MAX_VIDEO_BATCH_SAMPLES = 1 << 27
 """Pixels of such a batch: of 4 bits each they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
+MAX_LOSSLESS_BATCH_PIXELS = 1 << 24
+"""Pixels of a batch with a lossless video: of 32 bits each they do not exceed a payload, and noise takes 27."""
 
 
 class Encoder:
@@ -106,7 +109,8 @@ class Encoder:
                 "a depth video needs frames that can be read again, and builds of Pillow and OpenCV with AVIF; install "
                 "pillow 11.3 and opencv-python-headless 5 or newer, or leave out --depth-video on"
             )
-        if self.config.color_video is ColorVideo.ON and not (again and can_encode_av1()):
+        can_encode = can_encode_ffv1 if self.config.video.lossless else can_encode_av1
+        if self.config.color_video is ColorVideo.ON and not (again and can_encode()):
             raise ConfigError(
                 "a colour video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "
                 "newer with libsvtav1, or leave out --color-video on"
@@ -175,4 +179,5 @@ def _batch_frames(info: SequenceInfo, config: EncoderConfig) -> int:
     if config.causal or config.color_video is not ColorVideo.ON:
         return max(1, round((LIVE_BATCH_S if config.causal else FILE_BATCH_S) * info.fps))
     pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
-    return max(1, min(round(VIDEO_BATCH_S * info.fps), MAX_VIDEO_BATCH_SAMPLES // pixels))
+    most = MAX_LOSSLESS_BATCH_PIXELS if config.video.lossless else MAX_VIDEO_BATCH_SAMPLES
+    return max(1, min(round(VIDEO_BATCH_S * info.fps), most // pixels))
