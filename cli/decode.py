@@ -20,6 +20,7 @@ from threedvc.cli.options import (
 )
 from threedvc.cli.progress import Progress
 from threedvc.errors import TruncatedStream
+from threedvc.stream.packets import VideoCodec
 
 if TYPE_CHECKING:
     from threedvc.geometry.pose import Pose
@@ -123,7 +124,8 @@ def decode(
 
 
 def _unread(codec: int) -> str:
-    remedy = "install av with dav1d" if codec == 1 else "use a newer 3dvc"
+    decoders = {VideoCodec.AV1: "dav1d", VideoCodec.FFV1: "FFV1"}
+    remedy = f"install av with {decoders[VideoCodec(codec)]}" if codec in decoders else "use a newer 3dvc"
     return f"cannot decode its colour video (codec {codec}), so the pictures show the models' colours; {remedy}"
 
 

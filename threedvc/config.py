@@ -248,10 +248,14 @@ class VideoConfig:
         about seven more halve the bytes. Of no meaning with a rate.
     preset
         Work of the encoder, the most at 0.
+    lossless
+        Whether pictures come back exactly as they were (FFV1), in as many bytes as that takes; coarseness and preset
+        mean nothing then.
     """
 
     coarseness: float = MIDDLE_COARSENESS
     preset: int = VIDEO_PRESETS["medium"]
+    lossless: bool = False
 
     def __post_init__(self) -> None:
         if not (MIN_CRF <= self.coarseness <= MAX_COARSENESS and 4 * self.coarseness == round(4 * self.coarseness)):
@@ -348,6 +352,10 @@ class EncoderConfig:
             raise ConfigError(
                 "a live stream cannot hold depth within a bound; leave out --depth-error or --preset live"
             )
+        if self.video.lossless and self.color_video is not ColorVideo.ON:
+            raise ConfigError("colours without loss are a video; give --color-video on")
+        if self.video.lossless and self.bitrate_bps is not None:
+            raise ConfigError("a lossless video takes the bytes it needs; leave out the rate")
         if self.batch_frames is not None and self.batch_frames < 1:
             raise ConfigError(f"group of {self.batch_frames} frames must have at least one frame")
         if self.threads < 1:

@@ -33,7 +33,7 @@ class Decoder:
     Parameters
     ----------
     captured_depth, captured_color
-        Whether depth and colour as captured are wanted; they need AVIF and AV1.
+        Whether depth and colour as captured are wanted; they need AVIF, and AV1 or FFV1.
     threads
         On how many measured depth is decoded.
 

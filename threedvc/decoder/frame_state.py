@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.video.planes import CapturedColor
+from threedvc.coding.video.planes import ShownColor
 from threedvc.decoder.measured_depth import MeasuredDepth
 from threedvc.geometry.pose import Pose, compose, identity
 from threedvc.model.post_filter import PostFilter
@@ -64,7 +64,7 @@ class FrameState:
     lights: Mapping[int, Light]
     filters: PostFilter | None
     captured_depth: CapturedDepth | MeasuredDepth | None
-    captured_color: CapturedColor | None = None
+    captured_color: ShownColor | None = None
     color_timestamp_ns: int | None = None
 
 

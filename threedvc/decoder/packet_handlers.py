@@ -22,7 +22,8 @@ from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.coding.video.av1 import can_decode_av1, decode_av1
-from threedvc.coding.video.planes import CapturedColor, Planes, VideoFormat
+from threedvc.coding.video.ffv1 import EXACT_BITS, can_decode_ffv1, decode_ffv1
+from threedvc.coding.video.planes import CapturedColor, ExactColor, ShownColor, VideoFormat
 from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
 from threedvc.decoder.decoder_state import DecoderState
 from threedvc.decoder.measured_depth import MeasuredRun
@@ -224,20 +225,35 @@ def _captured_color(
     run = timeline.convey("COLOR_VIDEO", header)
     if not state.wanted.color:
         return
-    if header.codec != VideoCodec.AV1 or not can_decode_av1():
+    pictures = _color_pictures(sensor, header, payload)
+    if pictures is None:
         state.unread_codec = header.codec
         return
+    for frame in run.frames:
+        yield frame, partial(_show_next, sensor, pictures)
+
+
+def _color_pictures(sensor: SensorState, header: ColorVideoHeader, payload: bytes) -> Iterator[ShownColor] | None:
+    """Check a video, and return an iterator that decodes its pictures, or None if that cannot be done here."""
     video = VideoFormat(
         width=header.columns, height=header.rows, bits=header.bits, magnified=header.magnified, grey=sensor.header.grey
     )
-    pictures = decode_av1(payload, header.count, video)
-    for frame in run.frames:
-        yield frame, partial(_show_next, sensor, pictures, video)
+    if header.codec == VideoCodec.AV1 and can_decode_av1():
+        return (CapturedColor(planes=planes, video=video) for planes in decode_av1(payload, header.count, video))
+    if header.codec == VideoCodec.FFV1 and can_decode_ffv1():
+        camera = sensor.rig.color
+        if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, grey=video.grey):
+            raise CorruptStream(
+                f"a video without loss of {video.width}x{video.height} samples of {video.bits} bits must have "
+                f"{camera.width}x{camera.height} of {EXACT_BITS} bits, which are not magnified; the stream is damaged"
+            )
+        return (ExactColor(picture=picture) for picture in decode_ffv1(payload, header.count, video))
+    return None
 
 
-def _show_next(sensor: SensorState, pictures: Iterator[Planes], video: VideoFormat) -> None:
+def _show_next(sensor: SensorState, pictures: Iterator[ShownColor]) -> None:
     """Decode the next picture of a run; all of them at once might not fit into memory."""
-    sensor.set_captured_color(CapturedColor(planes=next(pictures), video=video))
+    sensor.set_captured_color(next(pictures))
 
 
 def _measured_depth(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.gains import NEUTRAL, GainCoder
 from threedvc.coding.poses import PoseCoder
-from threedvc.coding.video.planes import CapturedColor
+from threedvc.coding.video.planes import ShownColor
 from threedvc.decoder.measured_depth import MeasuredDepth, MeasuredRun
 from threedvc.geometry.pose import Pose, identity
 from threedvc.render.captured_depth import CapturedDepth
@@ -47,7 +47,7 @@ class SensorState:
         self.shift, self.gain = identity(), NEUTRAL
         self._correction_ns = 0
         self._captured_depth: CapturedDepth | None = None
-        self._captured_color: CapturedColor | None = None
+        self._captured_color: ShownColor | None = None
         self._measured_run: MeasuredRun | None = None
 
     def set_shift(self, T_shifted_camera: Pose) -> None:
@@ -66,7 +66,7 @@ class SensorState:
         """Let a depth picture stand for the drawn one in the next frame alone."""
         self._captured_depth = depth
 
-    def set_captured_color(self, color: CapturedColor) -> None:
+    def set_captured_color(self, color: ShownColor) -> None:
         """Let a colour picture stand for the drawn one in the next frame alone."""
         self._captured_color = color
 
@@ -87,7 +87,7 @@ class SensorState:
         measured = None if self._measured_run is None else self._measured_run.next(T_world_camera)
         return measured or depth
 
-    def take_captured_color(self) -> CapturedColor | None:
+    def take_captured_color(self) -> ShownColor | None:
         """Return the colour of its next frame, if there is a video of it, which is then used up."""
         color, self._captured_color = self._captured_color, None
         return color

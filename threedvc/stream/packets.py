@@ -59,6 +59,7 @@ class VideoCodec(IntEnum):
     """What pictures of a COLOR_VIDEO are coded by."""
 
     AV1 = 1
+    FFV1 = 2
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT})

@@ -21,8 +21,11 @@ from threedvc.parallel import for_ranges
 __all__ = [
     "MAX_MAGNIFIED",
     "CapturedColor",
+    "ExactColor",
+    "Picture",
     "Planes",
     "Samples",
+    "ShownColor",
     "VideoFormat",
     "picture_of",
     "planes_of",
@@ -94,6 +97,27 @@ class CapturedColor:
     def shown(self, width: int, height: int, threads: int) -> Picture:
         """Return the picture (height, width, 3) of the frame."""
         return picture_of(self.planes, self.video, width, height, threads)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExactColor:
+    """The colour (h, w, 3) uint8 of one frame as it was captured, without loss."""
+
+    picture: Picture
+
+    def shown(self, width: int, height: int, threads: int) -> Picture:
+        """Return the picture (height, width, 3) of the frame; of another size its channels are interpolated."""
+        rows, columns, _ = self.picture.shape
+        if (rows, columns) == (height, width):
+            return self.picture
+        video = VideoFormat(width=columns, height=rows, bits=8, grey=True)
+        flat = np.zeros(video.chroma_shape, dtype=np.uint16)
+        each = (Planes(channel.astype(np.uint16), flat, flat) for channel in np.moveaxis(self.picture, -1, 0))
+        return np.stack([picture_of(planes, video, width, height, threads)[..., 0] for planes in each], axis=-1)
+
+
+ShownColor: TypeAlias = CapturedColor | ExactColor
+"""The colour of one frame as it was captured, or nearly."""
 
 
 def spare_magnification(picture: Picture) -> int:

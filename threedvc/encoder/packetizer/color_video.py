@@ -11,13 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from threedvc.coding.video.av1 import Av1Settings, encode_av1
+from threedvc.coding.video.ffv1 import EXACT_BITS, encode_ffv1
 from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_magnification
 from threedvc.config import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.framing_sizes import COLOR_VIDEO_FRAMING_BYTES
 from threedvc.stream.headers import ColorVideoHeader
-from threedvc.stream.packets import Packet
+from threedvc.stream.packets import Packet, VideoCodec
 
 __all__ = ["ColorVideoWriter", "PictureCoding", "picture_coding"]
 
@@ -79,7 +80,7 @@ class ColorVideoWriter:
         self._coded: dict[float, list[Packet]] = {}
 
     def packets(self, coarseness: float) -> list[Packet]:
-        """Return the COLOR_VIDEO packets at a coarseness, in the order of their frames."""
+        """Return the COLOR_VIDEO packets at a coarseness, in the order of their frames; a lossless video has none."""
         if coarseness not in self._coded:
             self._coded[coarseness] = [self._packet(run, picture_coding(coarseness)) for run in self._runs]
         return self._coded[coarseness]
@@ -110,12 +111,14 @@ class ColorVideoWriter:
                     yield sensor, own
 
     def _run(self, sensor: int, frames: list[int]) -> _Run:
-        if self._scene.info.grey:
+        if self._scene.info.grey or self._scene.config.video.lossless:
             return _Run(sensor, frames, 0)
         return _Run(sensor, frames, min(spare_magnification(self._frames[frame].color) for frame in frames))
 
     def _packet(self, run: _Run, coding: PictureCoding) -> Packet:
         camera, config = self._scene.info.rigs[run.sensor].color, self._scene.config
+        if config.video.lossless:
+            return self._exact_packet(run)
         columns, rows = (_scaled(side, coding.scale) for side in (camera.width, camera.height))
         video = VideoFormat(width=columns, height=rows, bits=BITS, magnified=run.magnified, grey=self._scene.info.grey)
         settings = Av1Settings(crf=coding.crf, preset=config.video.preset, threads=config.threads)
@@ -129,6 +132,21 @@ class ColorVideoWriter:
             magnified=run.magnified,
         )
         return header.packet(encode_av1(self._planes(run.frames, video), video, settings), critical=False)
+
+    def _exact_packet(self, run: _Run) -> Packet:
+        camera, grey = self._scene.info.rigs[run.sensor].color, self._scene.info.grey
+        video = VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, grey=grey)
+        header = ColorVideoHeader(
+            frame=run.frames[0],
+            count=len(run.frames),
+            sensor=run.sensor,
+            columns=video.width,
+            rows=video.height,
+            codec=VideoCodec.FFV1,
+            bits=video.bits,
+        )
+        pictures = (self._frames[number].color for number in run.frames)
+        return header.packet(encode_ffv1(pictures, video, self._scene.config.threads), critical=False)
 
     def _planes(self, numbers: Sequence[int], video: VideoFormat) -> Iterator[Planes]:
         return (planes_of(self._frames[number].color, video) for number in numbers)

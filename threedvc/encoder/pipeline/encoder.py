@@ -13,6 +13,7 @@ from typing import cast
 
 from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.coding.video.av1 import can_encode_av1
+from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.config import ColorVideo, DepthErrorKind, DepthVideo, EncoderConfig
 from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.color_choice import file_stream
@@ -99,7 +100,8 @@ class Encoder:
                 raise ConfigError("the bytes of depth within a bound follow from it; give a quality in place of a rate")
             if not again:
                 raise ConfigError("depth within a bound needs frames that can be read again; leave out --depth-error")
-        if self.config.color_video is ColorVideo.ON and not (again and can_encode_av1()):
+        can_encode = can_encode_ffv1 if self.config.video.lossless else can_encode_av1
+        if self.config.color_video is ColorVideo.ON and not (again and can_encode()):
             raise ConfigError(
                 "a colour video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "
                 "newer with libsvtav1, or leave out --color-video on"

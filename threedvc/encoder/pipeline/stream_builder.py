@@ -26,6 +26,8 @@ VIDEO_BATCH_S = 10
 seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
 MAX_VIDEO_BATCH_SAMPLES = 1 << 27
 """Pixels of such a batch: of 4 bits each they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
+MAX_LOSSLESS_BATCH_PIXELS = 1 << 24
+"""Pixels of a batch with a lossless video: of 32 bits each they do not exceed a payload, and noise takes 27."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +79,8 @@ def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = Fal
     if not video:
         return max(1, round((LIVE_BATCH_S if config.causal else FILE_BATCH_S) * info.fps))
     pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
-    return max(1, min(round(VIDEO_BATCH_S * info.fps), MAX_VIDEO_BATCH_SAMPLES // pixels))
+    most = MAX_LOSSLESS_BATCH_PIXELS if config.video.lossless else MAX_VIDEO_BATCH_SAMPLES
+    return max(1, min(round(VIDEO_BATCH_S * info.fps), most // pixels))
 
 
 def batches(
