@@ -77,6 +77,9 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--color-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
               help="Add a video of the pictures in place of the models' colours; auto: if that looks better at as many "
               "bytes.")  # fmt: skip
+@click.option("--lossless", is_flag=True,
+              help="Keep every colour and depth exactly: the same as --color-video on, without loss, and --depth-error "
+              "lossless.")  # fmt: skip
 @click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
               help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
               )  # fmt: skip

@@ -41,6 +41,9 @@ def report_lines(report: StreamStatistics) -> Iterator[str]:
     if report.quality is not None:
         yield ""
         yield from (_row(name, _measure(name, value)) for name, value in report.quality.items())
+        if report.lossless:
+            spelled = {"color": "colour", "depth": "depth"}
+            yield _row("exact", ", ".join(f"{spelled[kind]} lossless" for kind in report.lossless))
 
 
 def _row(name: str, text: str) -> str:

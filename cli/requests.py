@@ -79,6 +79,7 @@ class EncodeRequest(ReaderRequest):
     depth_video: str
     color_video: str
     depth_error: DepthErrorConfig
+    lossless: bool
     focus: tuple[RegionOfInterest, ...]
     causal: bool
     threads: int | None
@@ -120,6 +121,7 @@ class EncodeRequest(ReaderRequest):
             Motion,
             Preset,
             Sensor,
+            with_lossless,
             with_preset,
             with_quality,
         )
@@ -143,6 +145,8 @@ class EncodeRequest(ReaderRequest):
         if self.quality is not None:
             config = with_quality(config, self.quality)
         config = with_preset(config, Preset.LIVE if self.causal else Preset(self.preset))
+        if self.lossless:
+            config = with_lossless(config)
         appearance = replace(config.appearance, relief_bits=self.relief)
         return replace(config, bitrate_bps=self.bitrate, appearance=appearance)
 
@@ -155,6 +159,15 @@ class EncodeRequest(ReaderRequest):
         for video, choice in (("--depth-video", self.depth_video), ("--color-video", self.color_video)):
             if choice == "on" and live:
                 raise click.UsageError(f"{video} on and --preset live contradict each other; give one of them")
+        if self.lossless:
+            for option, given in (
+                ("--bitrate", self.bitrate is not None),
+                ("--preset live", live),
+                ("--color-video off", self.color_video == "off"),
+                ("--depth-error", self.depth_error.kind not in ("model", "lossless")),
+            ):
+                if given:
+                    raise click.UsageError(f"--lossless and {option} contradict each other; give one of them")
         if self.depth_error.kind != "model":
             for option, given in (("--bitrate", self.bitrate is not None), ("--preset live", live)):
                 if given:

@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
+import numpy as np
+
 from threedvc.errors import SequenceError
 from threedvc.formats.decoding import DecodedFrame
 from threedvc.formats.evaluation.object_comparison import ObjectComparison
@@ -107,6 +109,7 @@ class Comparison:
     objects: ObjectComparison = field(default_factory=ObjectComparison)
     _color: list[ColorQuality] = field(default_factory=list)
     _depth: DepthErrors | None = None
+    _equal_colors: bool = True
     _camera: dict[int, tuple[Pose, Pose]] = field(default_factory=dict)
 
     def add(self, drawn: DecodedFrame, given: Frame) -> None:
@@ -117,6 +120,7 @@ class Comparison:
         )
         self.per_frame.append(asdict(color) | depth.quality())
         self._color.append(color)
+        self._equal_colors &= np.array_equal(given.color, drawn.color)
         self._depth = depth if self._depth is None else self._depth + depth
         self.objects.add(drawn, given)
         if given.T_world_camera is not None and not drawn.sensor:
@@ -127,6 +131,13 @@ class Comparison:
         if self._depth is None:
             return {}
         return asdict(mean_color_quality(self._color)) | self._depth.quality()
+
+    def lossless(self) -> tuple[str, ...]:
+        """Return which of ``color`` and ``depth`` are equal to the reference in every frame and pixel."""
+        if self._depth is None:
+            return ()
+        equal = {"color": self._equal_colors, "depth": self._depth.lossless}
+        return tuple(kind for kind, same in equal.items() if same)
 
     def camera(self) -> TrajectoryError | None:
         """Return the error of the first sensor's trajectory; None where the reference has no poses."""

@@ -167,6 +167,8 @@ class StreamStatistics:
         `threedvc.formats.evaluation.object_comparison`; None where the reference has nothing to tell by.
     quality
         Measures over all frames; None without a reference.
+    lossless
+        Which of ``color`` and ``depth`` equal the reference in every pixel of every frame.
     sensors
         All sensors, usually one.
     """
@@ -186,6 +188,7 @@ class StreamStatistics:
     reference_objects: Sequence[ObjectQuality] | None = None
     spurious_objects: Sequence[SpuriousObject] | None = None
     quality: Mapping[str, float] | None = None
+    lossless: Sequence[str] = ()
     sensors: Sequence[SensorStatistics] = ()
 
     @property
@@ -252,6 +255,7 @@ class StreamStatistics:
                 report[name] = [asdict(item) for item in items]
         if self.quality is not None:
             report["quality"] = dict(self.quality)
+            report["lossless"] = list(self.lossless)
         return {name: _finite(value) for name, value in report.items()}
 
     def to_json(self) -> str:

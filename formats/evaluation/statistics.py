@@ -284,4 +284,5 @@ def _compared(
         reference_objects=comparison.objects.reference(),
         spurious_objects=comparison.objects.spurious(),
         quality=comparison.quality(),
+        lossless=comparison.lossless(),
     )

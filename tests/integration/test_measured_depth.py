@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 import threedvc
 from helpers.streams import ListSequence
 from threedvc.cli.main import main
+from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.config import ColorVideo, DepthErrorConfig, DepthErrorKind, EncoderConfig, Motion, RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
@@ -162,13 +164,43 @@ def test_runs_of_too_many_samples_are_refused(packets: list[Packet]) -> None:
         list(Decoder().frames(damaged(packets, header=header | {"n": 1 << 20})))
 
 
-def test_a_rate_contradicts_a_bound(sequence: ListSequence, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="follow from it"):
-        encoded(sequence, bitrate_bps=50_000.0)
-    folder = tmp_path / "room"
+@pytest.fixture(scope="module")
+def folder(sequence: ListSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the frames as a recording."""
+    folder = tmp_path_factory.mktemp("frames") / "room"
     with PlainSink(folder, sequence.info, threads=1) as sink:
         for frame in sequence:
             sink.write_frame(frame)
+    return folder
+
+
+@pytest.mark.skipif(not can_encode_ffv1(), reason="this build of PyAV has no FFV1")
+def test_lossless_gives_back_every_picture(folder: Path, tmp_path: Path) -> None:
+    stream = str(tmp_path / "a.3dvc")
+    options = ["--lossless", "--preset", "fast", "--voxel-size", "6cm"]
+    assert CliRunner().invoke(main, ["encode", str(folder), stream, *options]).exit_code == 0
+    assert CliRunner().invoke(main, ["decode", stream, str(tmp_path / "out")]).exit_code == 0
+    for kind in ("color", "depth"):
+        names = sorted(path.name for path in (folder / kind).iterdir())
+        assert names == sorted(path.name for path in (tmp_path / "out" / kind).iterdir())
+        for name in names:
+            given, back = (cv2.imread(str(place / kind / name), -1) for place in (folder, tmp_path / "out"))
+            np.testing.assert_array_equal(back, given)
+    report = CliRunner().invoke(main, ["stats", stream, "--reference", str(folder)]).stdout
+    assert "exact               colour lossless, depth lossless\n" in report
+
+
+@pytest.mark.parametrize(
+    "other", [["--bitrate", "50k"], ["--preset", "live"], ["--color-video", "off"], ["--depth-error", "5mm"]]
+)
+def test_lossless_contradicts_what_loses(other: list[str], folder: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["encode", str(folder), str(tmp_path / "a.3dvc"), "--lossless", *other])
+    assert (result.exit_code, "--lossless and" in result.output) == (2, True)
+
+
+def test_a_rate_contradicts_a_bound(sequence: ListSequence, folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="follow from it"):
+        encoded(sequence, bitrate_bps=50_000.0)
     options = ["encode", str(folder), str(tmp_path / "a.3dvc"), "--depth-error", "5mm"]
     result = CliRunner().invoke(main, [*options, "--bitrate", "50k"])
     assert (result.exit_code, "--depth-error and --bitrate contradict each other" in result.output) == (2, True)

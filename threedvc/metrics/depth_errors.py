@@ -114,6 +114,11 @@ class DepthErrors:
         )
 
     @property
+    def lossless(self) -> bool:
+        """Whether all pixels are equal."""
+        return not (self.lost or self.invented or self.histogram[1:].any())
+
+    @property
     def compared(self) -> int:
         """Number of pixels valid on both sides."""
         return self.valid - self.lost

@@ -13,7 +13,7 @@ import numpy as np
 from threedvc.coding.video.av1 import Av1Settings, encode_av1
 from threedvc.coding.video.ffv1 import EXACT_BITS, encode_ffv1
 from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_magnification
-from threedvc.config import MAX_COARSENESS, MIN_CRF
+from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.framing_sizes import COLOR_VIDEO_FRAMING_BYTES

@@ -9,10 +9,9 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.choices import DepthErrorKind
 from threedvc.coding.bounded_depth import encode_depth_frames
 from threedvc.coding.depth_bound import BoundKind, DepthBound, distinct_depths
-from threedvc.config import DepthErrorConfig
+from threedvc.config import DepthErrorConfig, DepthErrorKind
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from threedvc.choices import ColorVideo, DepthErrorKind
 from threedvc.coding.video.av1 import can_encode_av1
+from threedvc.config import ColorVideo, DepthErrorKind
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance, fit_appearance, fit_geometry
 from threedvc.encoder.appearance.rate_distortion import least_color_error
 from threedvc.encoder.packetizer.depth_residual import residual_packets

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Mask
-from threedvc.config import MIN_VOXEL_SIZE_M, EncoderConfig
+from threedvc.config import EncoderConfig
+from threedvc.config.encoder import MIN_VOXEL_SIZE_M
 from threedvc.encoder.rate.rate_control import live_cell_factor
 from threedvc.encoder.reconstruction.frame_intake import SETTLED_SHARE
 from threedvc.encoder.reconstruction.scene_object import MIN_PIXELS, SceneObject

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from threedvc.config import MAX_COARSENESS, MIN_CRF, EncoderConfig, VideoConfig, with_quality
+from threedvc.config import EncoderConfig, VideoConfig, with_quality
+from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.packetizer import color_video
 from threedvc.encoder.packetizer.color_video import ColorVideoWriter, picture_coding, video_bytes
 from threedvc.errors import ConfigError

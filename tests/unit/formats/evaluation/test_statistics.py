@@ -94,7 +94,7 @@ class TestTally:
 class TestReport:
     def test_json_has_every_key(self, tmp_path: Path) -> None:
         values = json.loads(report(ListSequence()).to_json())
-        assert set(values) == KEYS | {"quality", "reference_objects"}
+        assert set(values) == KEYS | {"quality", "lossless", "reference_objects"}
         assert set(values["quality"]) == QUALITY
         assert set(values["paper"]) == {"M", "F_m", "S_3dvc", "S_raw", "ratio"}
         assert all(set(total) == {"count", "bytes"} for total in values["packets"].values())
@@ -279,7 +279,7 @@ class TestQuality:
         assert found.camera is None
         assert (found.reference_objects, found.spurious_objects) == (None, None)
         values = json.loads(found.to_json())
-        assert set(values) == KEYS | {"quality"}
+        assert set(values) == KEYS | {"quality", "lossless"}
         assert set(values["trajectory"]) == {"status", "spans", "lost_frames", "travel", "poses"}
 
     def test_masks_tell_which_objects_were_found(self) -> None:
