@@ -89,7 +89,7 @@ def test_parts_of_a_batch_account_for_every_byte() -> None:
 
 def test_unknown_packets() -> None:
     private = Packet(type=0x90, header={"x": 1}, payload=b"secret", critical=False)
-    reserved = Packet(type=PacketType.SNAPSHOT, header={"f": 4, "d": bytes(16)}, payload=b"later", critical=False)
+    reserved = Packet(type=PacketType.SNAPSHOT, header={"f": 20, "d": bytes(16)}, payload=b"later", critical=False)
     data = stream_of([*packets(), private, reserved, end()])
     assert read(data)[:-1] == packets()
     assert private in [record.packet for record in records(data)]
