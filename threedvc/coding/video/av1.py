@@ -20,6 +20,7 @@ from av.error import FFmpegError
 
 from threedvc.coding.video.av1_units import SequenceFormat, pack_units, read_sequence_header, unpack_units
 from threedvc.coding.video.planes import Planes, Samples, VideoFormat
+from threedvc.coding.video.scheduling import SchedulingGuard
 from threedvc.errors import CorruptStream, UnsupportedVersion
 
 __all__ = ["Av1Settings", "can_decode_av1", "can_encode_av1", "decode_av1", "encode_av1"]
@@ -99,7 +100,10 @@ def encode_av1(pictures: Iterable[Planes], video: VideoFormat, settings: Av1Sett
     if not can_encode_av1():
         raise UnsupportedVersion("this build of PyAV cannot write AV1; install av 14 or newer with libsvtav1")
     os.environ.setdefault(*LOG_LEVEL)
+    guard = SchedulingGuard()
     context = _encoder_context(video, settings)
+    context.open()
+    guard.restore()
     packets: list[bytes] = []
     for number, planes in enumerate(pictures):
         packets += map(bytes, context.encode(_frame(planes, context, number)))

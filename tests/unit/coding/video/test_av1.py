@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from threedvc.coding.video import av1
+from threedvc.coding.video import av1, scheduling
 from threedvc.coding.video.av1 import Av1Settings, can_encode_av1, decode_av1, encode_av1
 from threedvc.coding.video.av1_units import pack_units, read_sequence_header, unpack_units
 from threedvc.coding.video.planes import Planes, VideoFormat
@@ -83,6 +84,23 @@ def test_nothing_is_said_on_the_way(payload: bytes, capfd: pytest.CaptureFixture
     with pytest.raises(CorruptStream):
         decoded(payload[:300] + bytes(len(payload) - 300))
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="no scheduling classes")
+def test_no_thread_gets_another_scheduling_class() -> None:
+    """As root the encoder takes the real-time class, in which it would leave nothing to others."""
+    before = os.sched_getscheduler(0)
+    found: set[int] = set()
+
+    def watched() -> Iterator[Planes]:
+        for planes in moving(SIZE, COUNT):
+            yield planes
+            found.add(os.sched_getscheduler(0))
+            found.update(os.sched_getscheduler(int(task.name)) for task in scheduling.TASKS.glob("*"))
+
+    encode_av1(watched(), SIZE, Av1Settings(crf=20, preset=10, threads=2))
+    assert found == {before}
+    assert os.sched_getscheduler(0) == before
 
 
 def test_truncated_payloads_are_refused(payload: bytes) -> None:
