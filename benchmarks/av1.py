@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planes import InverseDepth, Plane, lanczos, resized, rgb_of, triangle, yuv_of
+from threedvc.coding.video.scheduling import SchedulingGuard
 
 __all__ = ["Coded", "MissingCodec", "VideoCodec", "library"]
 
@@ -135,6 +136,9 @@ class VideoCodec:
         context.time_base = 1 / context.framerate
         parameters = f"crf={self.crf}:keyint=-1:scd=0:tune=1"
         context.options = {"preset": str(self.preset), "svtav1-params": parameters}
+        guard = SchedulingGuard()
+        context.open()
+        guard.restore()
         packets = []
         for number, planes in enumerate(pictures):
             frame = av.VideoFrame.from_ndarray(_packed(planes, bits), format=context.pix_fmt)

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from pathlib import Path
 
-__all__ = ["SchedulingGuard"]
+__all__ = ["TASKS", "SchedulingGuard"]
 
-TASKS = Path("/proc/self/task")
+TASKS = "/proc/self/task"
 """Where Linux lists the threads of a process."""
 
 
@@ -32,7 +31,7 @@ class SchedulingGuard:
         raised = os.sched_getscheduler(0)
         with suppress(OSError):
             os.sched_setscheduler(0, self._policy, self._priority)
-        for task in TASKS.iterdir() if TASKS.is_dir() else ():
+        for task in map(int, os.listdir(TASKS) if os.path.isdir(TASKS) else ()):
             with suppress(OSError):  # a thread may have ended
-                if os.sched_getscheduler(int(task.name)) == raised:
-                    os.sched_setscheduler(int(task.name), self._policy, self._priority)
+                if os.sched_getscheduler(task) == raised:
+                    os.sched_setscheduler(task, self._policy, self._priority)

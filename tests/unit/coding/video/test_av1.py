@@ -96,7 +96,7 @@ def test_no_thread_gets_another_scheduling_class() -> None:
         for planes in moving(SIZE, COUNT):
             yield planes
             found.add(os.sched_getscheduler(0))
-            found.update(os.sched_getscheduler(int(task.name)) for task in scheduling.TASKS.glob("*"))
+            found.update(os.sched_getscheduler(int(task)) for task in os.listdir(scheduling.TASKS))
 
     encode_av1(watched(), SIZE, Av1Settings(crf=20, preset=10, threads=2))
     assert found == {before}
