@@ -38,7 +38,7 @@ demo: $(READY) ## Make a small sequence, encode it, decode it, print the report
 	rm -rf $(DEMO)
 	mkdir -p $(DEMO)
 	$(BIN)/3dvc synth $(DEMO)/room --scene room --frames 60 --size 320x240 --noise kinect
-	$(BIN)/3dvc encode $(DEMO)/room $(DEMO)/room.3dvc --voxel-size 16mm
+	$(BIN)/3dvc encode $(DEMO)/room $(DEMO)/room.3dvc --voxel-size 16mm --color-video off
 	$(BIN)/3dvc decode $(DEMO)/room.3dvc $(DEMO)/decoded
 	$(BIN)/python benchmarks/montage.py $(DEMO)/room $(DEMO)/decoded $(DEMO)/montage.png
 	$(BIN)/3dvc stats $(DEMO)/room.3dvc --reference $(DEMO)/room
