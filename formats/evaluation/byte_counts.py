@@ -8,17 +8,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 from threedvc.formats.container import FILE_HEAD_BYTES, Record
+from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.header_reader import read_header
-from threedvc.stream.headers import (
-    BatchHeader,
-    ClockHeader,
-    ColorVideoHeader,
-    DepthHeader,
-    Header,
-    ModelHeader,
-    ObjectHeader,
-    PoseHeader,
-)
+from threedvc.stream.headers import BatchHeader, ClockHeader, DepthHeader, Header, ModelHeader, ObjectHeader, PoseHeader
 from threedvc.stream.packets import Packet, type_name
 
 __all__ = ["ByteCounts", "PacketTotal"]

@@ -29,7 +29,8 @@ from threedvc.formats.container import StreamReader, open_output
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import identity
 from threedvc.stream.batch import pack_batch, unpack_batch
-from threedvc.stream.headers import BatchHeader, ColorVideoHeader
+from threedvc.stream.captured_headers import ColorVideoHeader
+from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType, type_name
 from threedvc.synthesis import SyntheticSequence, make_scene
 

@@ -29,7 +29,8 @@ from threedvc.formats.container import StreamReader
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.render.captured_depth import EDGE, CapturedDepth, depth_levels
 from threedvc.stream.batch import pack_batch, unpack_batch
-from threedvc.stream.headers import BatchHeader, VideoHeader
+from threedvc.stream.captured_headers import VideoHeader
+from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 

@@ -35,7 +35,8 @@ from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import identity
 from threedvc.stream.batch import pack_batch, unpack_batch
-from threedvc.stream.headers import BatchHeader, ColorVideoHeader
+from threedvc.stream.captured_headers import ColorVideoHeader
+from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType, VideoCodec
 from threedvc.synthesis import SyntheticSequence, make_scene
 

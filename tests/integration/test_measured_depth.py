@@ -25,7 +25,8 @@ from threedvc.formats.sinks import PlainSink
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import identity
 from threedvc.stream.batch import pack_batch, unpack_batch
-from threedvc.stream.headers import BatchHeader, ResidualHeader
+from threedvc.stream.captured_headers import ResidualHeader
+from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 

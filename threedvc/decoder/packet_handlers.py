@@ -33,11 +33,11 @@ from threedvc.geometry.pose import Pose
 from threedvc.limits import MAX_COLOR_VIDEO_SAMPLES, MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
 from threedvc.stream.batch import Member
+from threedvc.stream.captured_headers import ColorVideoHeader, ResidualHeader, VideoHeader
 from threedvc.stream.headers import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
-    ColorVideoHeader,
     DepthHeader,
     FilterHeader,
     GainHeader,
@@ -48,10 +48,8 @@ from threedvc.stream.headers import (
     OrderHeader,
     PoseHeader,
     ReliefHeader,
-    ResidualHeader,
     ShiftHeader,
     TextureHeader,
-    VideoHeader,
 )
 from threedvc.stream.packets import PacketType, VideoCodec
 from threedvc.stream.wire import ByteReader

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from threedvc.stream.captured_headers import ColorVideoHeader, ResidualHeader, VideoHeader
 from threedvc.stream.headers import (
     BackdropHeader,
     BatchHeader,
     ClockHeader,
-    ColorVideoHeader,
     DepthHeader,
     EndHeader,
     FilterHeader,
@@ -22,13 +22,11 @@ from threedvc.stream.headers import (
     OrderHeader,
     PoseHeader,
     ReliefHeader,
-    ResidualHeader,
     SensorHeader,
     ShiftHeader,
     SnapshotHeader,
     StreamHeader,
     TextureHeader,
-    VideoHeader,
 )
 from threedvc.stream.packets import TOP_LEVEL_TYPES, Packet
 

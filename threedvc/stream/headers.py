@@ -10,12 +10,10 @@ from threedvc.errors import CorruptStream, UnsupportedVersion
 from threedvc.limits import (
     MAX_COUNT,
     MAX_FRAME,
-    MAX_MAGNIFICATION,
     MAX_OBJECT_ID,
     MAX_RELIEF_BITS,
     MAX_SENSORS,
     MAX_TEXTURE_BITS,
-    MAX_VIDEO_SIDE,
 )
 from threedvc.stream.header_fields import FieldType, blob, camera, extrinsic, flag, integer, key, names, number, text
 from threedvc.stream.packets import Packet, PacketType
@@ -27,7 +25,6 @@ __all__ = [
     "BackdropHeader",
     "BatchHeader",
     "ClockHeader",
-    "ColorVideoHeader",
     "DepthHeader",
     "EndHeader",
     "FilterHeader",
@@ -39,7 +36,6 @@ __all__ = [
     "OrderHeader",
     "PoseHeader",
     "ReliefHeader",
-    "ResidualHeader",
     "RunHeader",
     "SensorHeader",
     "SensorRunHeader",
@@ -47,7 +43,6 @@ __all__ = [
     "SnapshotHeader",
     "StreamHeader",
     "TextureHeader",
-    "VideoHeader",
     "check_supported",
 ]
 
@@ -321,73 +316,6 @@ class FilterHeader(Header):
     packet_type: ClassVar[PacketType] = PacketType.FILTER
 
     frame: int = key("f", integer(0, MAX_FRAME))
-
-
-@dataclass(frozen=True, kw_only=True)
-class VideoHeader(SensorRunHeader):
-    """Depth as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
-
-    Attributes
-    ----------
-    columns, rows
-        Size of its pictures, which cover those of the depth camera.
-    nearest_m, ratio
-        Depth that the value 0 means, and of each value to the one before.
-    complete
-        Whether something is everywhere, also where nothing is drawn.
-    """
-
-    packet_type: ClassVar[PacketType] = PacketType.VIDEO
-
-    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
-    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
-    nearest_m: float = key("z", number(1e-6, 1e6))
-    ratio: float = key("r", number(1, 1.2))
-    complete: bool = key("c", flag(), default=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColorVideoHeader(SensorRunHeader):
-    """Colour as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
-
-    Attributes
-    ----------
-    columns, rows
-        Size of its pictures, which cover those of the colour camera.
-    codec
-        What its pictures are coded by, see `VideoCodec`.
-    bits
-        Of a sample.
-    magnified
-        Chroma is 1 + magnified/4 times as large as it is by its formula.
-    """
-
-    packet_type: ClassVar[PacketType] = PacketType.COLOR_VIDEO
-
-    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
-    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
-    codec: int = key("c", integer(1, 255), default=1)
-    bits: int = key("b", integer(8, 16), default=10)
-    magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ResidualHeader(SensorRunHeader):
-    """Depth as measured in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
-
-    Attributes
-    ----------
-    kind
-        What the bound of its error is measured in: 0 metres, 1 shares of the depth, 2 levels of the sensor, 3 nothing,
-        as there is no error.
-    bound
-        Metres, or a share.
-    """
-
-    packet_type: ClassVar[PacketType] = PacketType.RESIDUAL
-
-    kind: int = key("k", integer(0, 3), default=3)
-    bound: float = key("e", number(0.0, 100.0), default=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

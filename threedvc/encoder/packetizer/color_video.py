@@ -16,8 +16,8 @@ from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_m
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
+from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.framing_sizes import COLOR_VIDEO_FRAMING_BYTES
-from threedvc.stream.headers import ColorVideoHeader
 from threedvc.stream.packets import Packet, VideoCodec
 
 __all__ = ["ColorVideoWriter", "PictureCoding", "picture_coding"]

@@ -18,7 +18,7 @@ from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.limits import MAX_SEQUENCE_SAMPLES
 from threedvc.render.moved_depth import MovedDepth
-from threedvc.stream.headers import ResidualHeader
+from threedvc.stream.captured_headers import ResidualHeader
 from threedvc.stream.packets import Packet
 
 __all__ = ["residual_packets"]

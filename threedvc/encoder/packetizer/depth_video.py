@@ -24,8 +24,8 @@ from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
 from threedvc.metrics.depth_errors import geman_mcclure_error
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
+from threedvc.stream.captured_headers import VideoHeader
 from threedvc.stream.framing_sizes import VIDEO_FRAMING_BYTES
-from threedvc.stream.headers import VideoHeader
 from threedvc.stream.packets import Packet
 
 __all__ = ["choose_depth_video"]

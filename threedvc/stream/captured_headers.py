@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: MIT
+"""Headers of the packets that hold pictures as captured: colour, depth, and depth within a bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from threedvc.limits import MAX_MAGNIFICATION, MAX_VIDEO_SIDE
+from threedvc.stream.header_fields import flag, integer, key, number
+from threedvc.stream.headers import SensorRunHeader
+from threedvc.stream.packets import PacketType
+
+__all__ = ["ColorVideoHeader", "ResidualHeader", "VideoHeader"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoHeader(SensorRunHeader):
+    """Depth as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    columns, rows
+        Size of its pictures, which cover those of the depth camera.
+    nearest_m, ratio
+        Depth that the value 0 means, and of each value to the one before.
+    complete
+        Whether something is everywhere, also where nothing is drawn.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.VIDEO
+
+    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
+    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
+    nearest_m: float = key("z", number(1e-6, 1e6))
+    ratio: float = key("r", number(1, 1.2))
+    complete: bool = key("c", flag(), default=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorVideoHeader(SensorRunHeader):
+    """Colour as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    columns, rows
+        Size of its pictures, which cover those of the colour camera.
+    codec
+        What its pictures are coded by, see `VideoCodec`.
+    bits
+        Of a sample.
+    magnified
+        Chroma is 1 + magnified/4 times as large as it is by its formula.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.COLOR_VIDEO
+
+    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
+    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
+    codec: int = key("c", integer(1, 255), default=1)
+    bits: int = key("b", integer(8, 16), default=10)
+    magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualHeader(SensorRunHeader):
+    """Depth as measured in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    kind
+        What the bound of its error is measured in: 0 metres, 1 shares of the depth, 2 levels of the sensor, 3 nothing,
+        as there is no error.
+    bound
+        Metres, or a share.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.RESIDUAL
+
+    kind: int = key("k", integer(0, 3), default=3)
+    bound: float = key("e", number(0.0, 100.0), default=0.0)
