@@ -6,10 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from threedvc.coding.gains import apply_gain
 from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
 from threedvc.model.decoded_model import DecodedModel
+from threedvc.model.post_filter import PostFilter
+from threedvc.render.picture import Picture
 from threedvc.render.render_model import RenderModel
 from threedvc.render.renderer import Renderer
 from threedvc.stream.packets import Packet
@@ -53,6 +59,31 @@ class ReplayedFrame(NamedTuple):
     state: FrameState
     renderer: Renderer
     models: dict[int, RenderModel]
+
+    def drawn(self, filters: PostFilter | None, *, color: bool = True) -> Picture:
+        """Draw the models from where the frame was taken, with a filter; without colour its rays are saved."""
+        state = self.state
+        return self.renderer.draw(
+            self.models,
+            state.T_camera_object,
+            color=color,
+            gain=apply_gain(state.gain),
+            T_shifted_camera=state.T_shifted_camera,
+            backdrop=state.backdrop,
+            lights=state.lights,
+            filters=filters,
+        )
+
+    def shown(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return colour (h, w, 3) and depth (h, w) in metres as a viewer sees them: as captured, if they are there."""
+        state, threads = self.state, self.renderer.config.threads
+        picture = self.drawn(state.filters, color=state.captured_color is None)
+        color, depth = picture.color, picture.depth
+        if state.captured_color is not None:
+            color = state.captured_color.shown(color.shape[1], color.shape[0], threads)
+        if state.captured_depth is not None:
+            depth = state.captured_depth.shown(depth, threads)
+        return color, depth
 
 
 def replay(

@@ -10,11 +10,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DepthErrors", "depth_units", "geman_mcclure_error"]
+__all__ = ["DepthErrors", "depth_units", "geman_mcclure_error", "shown_depth_error"]
 
 ERROR_SCALE = 0.01
 """Of the depth: an error of 1 % counts a half (decision 0012)."""
 
+NOWHERE_M = np.float32(1e6)
+"""Depth that stands for what is missing, further than any measurement."""
 MAX_DEPTH_UNITS = 65534
 """The largest depth of a 16-bit picture; the value beyond it is taken for no measurement."""
 INVALID_UNITS = 65535
@@ -37,6 +39,11 @@ def geman_mcclure_error(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np
             squares = (found[seen] / measured[seen] - 1) ** 2
             misfits.append(float(np.mean(squares / (squares + ERROR_SCALE**2))))
     return float(np.mean(misfits)) if misfits else 0.0
+
+
+def shown_depth_error(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> float:
+    """Return the `geman_mcclure_error` of depths that are shown; where nothing is shown, it fits not at all."""
+    return geman_mcclure_error((np.where(shown > 0, shown, NOWHERE_M), measured) for shown, measured in pictures)
 
 
 def depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.uint16]:

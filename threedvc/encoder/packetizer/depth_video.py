@@ -22,7 +22,7 @@ from threedvc.encoder.rate.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stre
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
-from threedvc.metrics.depth_errors import geman_mcclure_error
+from threedvc.metrics.depth_errors import shown_depth_error
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
 from threedvc.stream.captured_headers import VideoHeader
 from threedvc.stream.framing_sizes import VIDEO_FRAMING_BYTES
@@ -50,8 +50,6 @@ MIN_SIDE = 16
 """No side of a picture is smaller, unless the depth map's is; by hand."""
 MISFIT_FLOOR = 1e-4
 """A misfit this small is as good as none; it keeps logarithms finite."""
-NOWHERE_M = np.float32(1e6)
-"""Depth that stands for what is missing, further than any measurement: it fits not at all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,9 +224,10 @@ class DepthVideoTrial:
         }
 
     def _misfit_with(self, shown: Mapping[int, NDArray[np.float32]]) -> float:
-        """Return the misfit of what is drawn, or shown instead; what is missing fits not at all."""
-        pictures = ((shown.get(place, drawn), self._measured[place]) for place, drawn in self._drawn.items())
-        return geman_mcclure_error((np.where(depth > 0, depth, NOWHERE_M), measured) for depth, measured in pictures)
+        """Return the misfit of what is drawn, or shown instead."""
+        return shown_depth_error(
+            (shown.get(place, drawn), self._measured[place]) for place, drawn in self._drawn.items()
+        )
 
 
 class DepthVideoWriter:

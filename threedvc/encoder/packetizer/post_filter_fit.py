@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.filters import MAX_FACTOR
-from threedvc.coding.gains import apply_gain
 from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.replay import replay
 from threedvc.encoder.rate.rate_control import SHARE_PER_BYTE
@@ -18,8 +17,6 @@ from threedvc.kernels.render.picture_filter import add_filter_equations
 from threedvc.model.post_filter import FACTOR_UNIT, PAIRS, PIXEL_CLASSES, PostFilter, planes_of
 from threedvc.parallel import for_ranges
 from threedvc.render.picture import Picture
-from threedvc.render.render_model import RenderModel
-from threedvc.render.renderer import Renderer
 from threedvc.stream.headers import StreamHeader
 from threedvc.stream.packets import Packet
 
@@ -61,18 +58,10 @@ def fit_post_filter(packets: Sequence[Packet], frames: FrameSequence, threads: i
     def wanted(state: FrameState) -> bool:
         return state.index % every == 0 and bool(state.T_camera_object)
 
-    for state, renderer, models in replay(packets, threads, wanted):
-        equations.add(_unfiltered(renderer, models, state), frames[state.index].color)
+    for frame in replay(packets, threads, wanted):
+        equations.add(frame.drawn(PostFilter.none()), frames[frame.state.index].color)
     total = sum(len(packet.payload) for packet in packets)
     return equations.solved(SHARE_PER_BYTE / total, StreamHeader.from_map(packets[0].header).grey)
-
-
-def _unfiltered(renderer: Renderer, models: dict[int, RenderModel], state: FrameState) -> Picture:
-    """Return what a decoder draws of a frame, with the classes of its pixels, before a filter."""
-    return renderer.draw(
-        models, state.T_camera_object, gain=apply_gain(state.gain), T_shifted_camera=state.T_shifted_camera,
-        backdrop=state.backdrop, lights=state.lights, filters=PostFilter.none(),
-    )  # fmt: skip
 
 
 class _Equations:

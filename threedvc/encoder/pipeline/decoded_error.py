@@ -8,21 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threedvc.coding.gains import apply_gain
 from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.replay import replay
 from threedvc.encoder.appearance.rate_distortion import weighed_misfit
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence, sampling_stride
-from threedvc.metrics.depth_errors import geman_mcclure_error
+from threedvc.metrics.depth_errors import shown_depth_error
 from threedvc.stream.packets import Packet
 
 __all__ = ["DecodedError", "decoded_error"]
 
 SAMPLED_FRAMES = 40
 """Frames that are compared, spread over the sequence: as many as the fit of a filter draws."""
-NOWHERE_M = np.float32(1e6)
-"""Depth that stands for what is missing, further than any measurement: it fits not at all."""
 
 
 class DecodedError(NamedTuple):
@@ -65,19 +62,10 @@ def decoded_error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence
     def wanted(state: FrameState) -> bool:
         return state.index % every == 0
 
-    for state, renderer, models in replay(packets, threads, wanted, as_captured=True):
-        frame = scene.with_depth_limit(frames[state.index])
-        picture = renderer.draw(
-            models, state.T_camera_object, color=state.captured_color is None, gain=apply_gain(state.gain),
-            T_shifted_camera=state.T_shifted_camera, backdrop=state.backdrop, lights=state.lights,
-            filters=state.filters,
-        )  # fmt: skip
-        color, depth = picture.color, picture.depth
-        if state.captured_color is not None:
-            color = state.captured_color.shown(color.shape[1], color.shape[0], threads)
-        if state.captured_depth is not None:
-            depth = state.captured_depth.shown(depth, threads)
+    for replayed in replay(packets, threads, wanted, as_captured=True):
+        frame = scene.with_depth_limit(frames[replayed.state.index])
+        color, depth = replayed.shown()
         squares = np.square(color.astype(np.float32) - frame.color)
         colors.append(float(np.log(squares.mean() + 1)))
-        depths.append((np.where(depth > 0, depth, NOWHERE_M), frame.depth))
-    return DecodedError(float(np.mean(colors)), weighed_misfit(geman_mcclure_error(depths)))
+        depths.append((depth, frame.depth))
+    return DecodedError(float(np.mean(colors)), weighed_misfit(shown_depth_error(depths)))
