@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import threedvc
 import threedvc.encoder.pipeline.encoder as encoder_module
 from helpers.nonrigid_scene import nonrigid_sequence
+from helpers.packet_changes import members_of, with_changed, written
 from helpers.streams import ListSequence
 from threedvc.cli.main import main
 from threedvc.coding.video.av1 import can_encode_av1
@@ -25,12 +26,10 @@ from threedvc.decoder.verification import verified
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
-from threedvc.formats.container import StreamReader, open_output
+from threedvc.formats.container import StreamReader
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import identity
-from threedvc.stream.batch import pack_batch, unpack_batch
 from threedvc.stream.captured_headers import ColorVideoHeader
-from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType, type_name
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -64,27 +63,9 @@ def path(packets: list[Packet], tmp_path_factory: pytest.TempPathFactory) -> Pat
     return written(packets, tmp_path_factory.mktemp("video") / "room.3dvc")
 
 
-def written(packets: list[Packet], path: Path) -> Path:
-    with open_output(path, force=True) as writer:
-        for packet in packets:
-            writer.write(packet)
-    return path
-
-
-def members_of(packets: list[Packet]) -> list[Packet]:
-    return [member for packet in packets if packet.type == PacketType.BATCH for member in unpack_batch(packet)]
-
-
 def with_videos(packets: list[Packet], change: Callable[[Packet], Packet]) -> list[Packet]:
     """Return the packets with the videos in them changed."""
-
-    def changed(packet: Packet) -> Packet:
-        if packet.type != PacketType.BATCH:
-            return packet
-        members = [change(each) if each.type == PacketType.COLOR_VIDEO else each for each in unpack_batch(packet)]
-        return pack_batch(BatchHeader.from_map(packet.header), members)
-
-    return [changed(packet) for packet in packets]
+    return with_changed(packets, PacketType.COLOR_VIDEO, change)
 
 
 def colors(path: Path, render: RenderConfig | None = None, **choices: object) -> list[NDArray[np.uint8]]:

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import threedvc
 import threedvc.encoder.pipeline.encoder as encoder_module
+from helpers.packet_changes import members_of, with_changed, written
 from helpers.streams import ListSequence
 from threedvc.cli.main import main
 from threedvc.coding.video.ffv1 import can_encode_ffv1
@@ -29,14 +30,11 @@ from threedvc.decoder import packet_handlers
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.pipeline.stream_builder import batch_length
 from threedvc.errors import ConfigError, CorruptStream
-from threedvc.formats.container import open_output
 from threedvc.frames.frame import Frame
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import identity
-from threedvc.stream.batch import pack_batch, unpack_batch
 from threedvc.stream.captured_headers import ColorVideoHeader
-from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType, VideoCodec
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -72,26 +70,9 @@ def packets(sequence: FrameSequence) -> list[Packet]:
     return list(Encoder(sequence.info, CONFIG).packets(sequence))
 
 
-def written(packets: list[Packet], path: Path) -> Path:
-    with open_output(path, force=True) as writer:
-        for packet in packets:
-            writer.write(packet)
-    return path
-
-
 def with_header(packets: list[Packet], **change: int) -> list[Packet]:
     """Return the packets with the headers of the videos in them changed."""
-
-    def changed(packet: Packet) -> Packet:
-        if packet.type != PacketType.BATCH:
-            return packet
-        videos = PacketType.COLOR_VIDEO
-        members = [
-            replace(each, header=each.header | change) if each.type == videos else each for each in unpack_batch(packet)
-        ]
-        return pack_batch(BatchHeader.from_map(packet.header), members)
-
-    return [changed(packet) for packet in packets]
+    return with_changed(packets, PacketType.COLOR_VIDEO, lambda packet: replace(packet, header=packet.header | change))
 
 
 def test_pictures_come_back_exactly(sequence: FrameSequence, packets: list[Packet], tmp_path: Path) -> None:
@@ -113,7 +94,7 @@ def test_elsewhere_models_have_the_colors_of_the_video(
 
 
 def test_headers_tell_the_codec(packets: list[Packet]) -> None:
-    members = [each for packet in packets if packet.type == PacketType.BATCH for each in unpack_batch(packet)]
+    members = members_of(packets)
     videos = [ColorVideoHeader.from_map(each.header) for each in members if each.type == PacketType.COLOR_VIDEO]
     assert [(video.frame, video.count) for video in videos] == [(0, 3), (3, 2)]
     for video in videos:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import threedvc
+from helpers.packet_changes import members_of, with_changed, written
 from helpers.streams import ListSequence
 from threedvc.cli.main import main
 from threedvc.coding.video.ffv1 import can_encode_ffv1
@@ -20,13 +21,10 @@ from threedvc.config import ColorVideo, DepthErrorConfig, DepthErrorKind, Encode
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
-from threedvc.formats.container import open_output
 from threedvc.formats.sinks import PlainSink
 from threedvc.frames.multi_sensor import MergedSequence
 from threedvc.geometry.pose import identity
-from threedvc.stream.batch import pack_batch, unpack_batch
 from threedvc.stream.captured_headers import ResidualHeader
-from threedvc.stream.headers import BatchHeader
 from threedvc.stream.packets import Packet, PacketType
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -63,20 +61,12 @@ def path(packets: list[Packet], tmp_path_factory: pytest.TempPathFactory) -> Pat
     return written(packets, tmp_path_factory.mktemp("depth") / "room.3dvc")
 
 
-def written(packets: list[Packet], path: Path) -> Path:
-    with open_output(path, force=True) as writer:
-        for packet in packets:
-            writer.write(packet)
-    return path
-
-
 def raw(depth: NDArray[np.float32], scale: float) -> NDArray[np.int64]:
     return np.rint(depth.astype(np.float64) * scale).astype(np.int64)
 
 
 def residuals(packets: list[Packet]) -> list[ResidualHeader]:
-    members = [member for packet in packets if packet.type == PacketType.BATCH for member in unpack_batch(packet)]
-    return [ResidualHeader.from_map(each.header) for each in members if each.type == PacketType.RESIDUAL]
+    return [ResidualHeader.from_map(each.header) for each in members_of(packets) if each.type == PacketType.RESIDUAL]
 
 
 def test_every_value_comes_back(path: Path, packets: list[Packet], sequence: ListSequence) -> None:
@@ -140,14 +130,7 @@ def test_every_sensor_has_its_own(sequence: ListSequence, tmp_path: Path) -> Non
 
 def damaged(packets: list[Packet], **changes: object) -> list[Packet]:
     """Return the packets with those of measured depth changed."""
-
-    def changed(packet: Packet) -> Packet:
-        if packet.type != PacketType.BATCH:
-            return packet
-        members = [replace(m, **changes) if m.type == PacketType.RESIDUAL else m for m in unpack_batch(packet)]
-        return pack_batch(BatchHeader.from_map(packet.header), members)
-
-    return [changed(packet) for packet in packets]
+    return with_changed(packets, PacketType.RESIDUAL, lambda packet: replace(packet, **changes))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x05abc", bytes(40)])
@@ -159,8 +142,7 @@ def test_damage_is_one_error(payload: bytes, packets: list[Packet], tmp_path: Pa
 
 
 def test_runs_of_too_many_samples_are_refused(packets: list[Packet]) -> None:
-    members = [member for packet in packets[1:2] for member in unpack_batch(packet)]
-    header = next(each.header for each in members if each.type == PacketType.RESIDUAL)
+    header = next(each.header for each in members_of(packets) if each.type == PacketType.RESIDUAL)
     with pytest.raises((CorruptStream, LimitExceeded)):
         list(Decoder().frames(damaged(packets, header=header | {"n": 1 << 20})))
 
