@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colour and depth pictures through AV1: SVT-AV1 encodes, dav1d decodes, both from the wheel of PyAV.
+"""Color and depth pictures through AV1: SVT-AV1 encodes, dav1d decodes, both from the wheel of PyAV.
 
 Constant quality and one key frame, the strongest a video codec is at low rates. Bytes are those of the coded
 pictures: neither a container nor the two bytes that part one picture from the next in a bare stream.
@@ -28,7 +28,7 @@ COLOR_BITS, DEPTH_BITS = 8, 10
 """Eight as in the input; ten for depth, the most that AV1's main profile has."""
 CHROMA_ZERO = 128.0
 FLAT = np.zeros((1, 1), dtype=np.float32)
-"""A plane of one pixel, to be resized: chroma of grey pictures."""
+"""A plane of one pixel, to be resized: chroma of gray pictures."""
 
 
 class MissingCodec(RuntimeError):
@@ -98,27 +98,27 @@ class VideoCodec:
         """Width and height of the coded pictures."""
         return _even(self.width / self.scale), _even(self.height / self.scale)
 
-    def encode_color(self, pictures: Iterable[NDArray[np.uint8]], grey: bool = False) -> Coded:
-        """Encode RGB pictures (h, w, 3) as 4:2:0; of grey ones luma alone, the chroma planes are flat."""
-        return self._encode((self._color_planes(picture, grey) for picture in pictures), COLOR_BITS)
+    def encode_color(self, pictures: Iterable[NDArray[np.uint8]], gray: bool = False) -> Coded:
+        """Encode RGB pictures (h, w, 3) as 4:2:0; of gray ones luma alone, the chroma planes are flat."""
+        return self._encode((self._color_planes(picture, gray) for picture in pictures), COLOR_BITS)
 
-    def decode_color(self, coded: Coded, grey: bool = False) -> Iterator[NDArray[np.uint8]]:
+    def decode_color(self, coded: Coded, gray: bool = False) -> Iterator[NDArray[np.uint8]]:
         """Yield RGB pictures (h, w, 3) uint8."""
         for y, u, v in self._decode(coded, COLOR_BITS):
-            yield rgb_of([y, *([FLAT + CHROMA_ZERO] * 2 if grey else [u, v])], (self.width, self.height))
+            yield rgb_of([y, *([FLAT + CHROMA_ZERO] * 2 if gray else [u, v])], (self.width, self.height))
 
     def encode_depth(self, pictures: Iterable[Plane], mapping: InverseDepth) -> Coded:
-        """Encode depth (h, w) float32 in metres as ten bits of luma; where it is 0 it is filled, no mask is kept."""
+        """Encode depth (h, w) float32 in meters as ten bits of luma; where it is 0 it is filled, no mask is kept."""
         numbers = (resized(mapping.numbers(depth), self.size, triangle) for depth in pictures)
         return self._encode(([luma, self._flat(DEPTH_BITS), self._flat(DEPTH_BITS)] for luma in numbers), DEPTH_BITS)
 
     def decode_depth(self, coded: Coded, mapping: InverseDepth) -> Iterator[Plane]:
-        """Yield depth (h, w) float32 in metres; every pixel has one."""
+        """Yield depth (h, w) float32 in meters; every pixel has one."""
         for luma, _, _ in self._decode(coded, DEPTH_BITS):
             yield mapping.depth(resized(luma, (self.width, self.height), triangle))
 
-    def _color_planes(self, picture: NDArray[np.uint8], grey: bool) -> list[Plane]:
-        if not grey:
+    def _color_planes(self, picture: NDArray[np.uint8], gray: bool) -> list[Plane]:
+        if not gray:
             return yuv_of(picture, self.size)
         luma = resized(picture[..., 0].astype(np.float32), self.size, lanczos)
         return [luma, self._flat(COLOR_BITS), self._flat(COLOR_BITS)]

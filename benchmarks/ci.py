@@ -49,7 +49,7 @@ from threedvc.model.decoded_model import DecodedModel
 from threedvc.stream.packets import Packet
 from threedvc.synthesis.scenes import make_scene
 from threedvc.synthesis.sequence import SyntheticSequence
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["Measurement", "compare", "main", "measure"]
 
@@ -177,7 +177,7 @@ def _encoder_stages(sequence: SyntheticSequence, frames: Sequence[Frame]) -> dic
     rays, sensor = rig.depth.rays(), scene.sensor_of(0)
     observed = [(observe(frame, rig, rays), pose) for frame, pose in zip(frames, background.poses, strict=True)]
     everywhere, full = np.ones(frames[0].depth.shape, dtype=bool), Downsampled(rig, 1)
-    surface, settings = extract_surface(background.evidence, 1), color_settings(FILE.color, sequence.info.grey)
+    surface, settings = extract_surface(background.evidence, 1), color_settings(FILE.color, sequence.info.gray)
 
     def fusion() -> None:
         evidence = EvidenceModel(VOXEL_SIZE_M)
@@ -233,7 +233,7 @@ def _size(
     decoded = _decoded(stream)
     scale = sequence.info.depth_scale
     depths = [[depth_units(frame.depth, scale) for frame in each] for each in (frames, decoded)]
-    errors = [DepthErrors.measure(given, drawn, MILLIMETRES / scale) for given, drawn in zip(*depths, strict=True)]
+    errors = [DepthErrors.measure(given, drawn, MILLIMETERS / scale) for given, drawn in zip(*depths, strict=True)]
     total = sum(errors[1:], errors[0])
     decibels = [psnr(given.color, drawn.color) for given, drawn in zip(frames, decoded, strict=True)]
     return [

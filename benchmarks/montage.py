@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Put input and decoded pictures side by side: colour, decoded colour, depth, decoded depth.
+"""Put input and decoded pictures side by side: color, decoded color, depth, decoded depth.
 
 Both folders have the plain layout (``color/``, ``depth/``, ``intrinsics.json``). One row per frame::
 
@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["colored_depth", "main", "montage"]
 
@@ -44,9 +44,9 @@ def pictures(folder: Path, kind: str) -> list[Path]:
 
 
 def depth_scale(folder: Path) -> float:
-    """Return the units per metre of a folder's depth pictures, 1000 where it does not say."""
+    """Return the units per meter of a folder's depth pictures, 1000 where it does not say."""
     description = json.loads((folder / "intrinsics.json").read_text(encoding="utf-8"))
-    return float(description.get("depth_scale", MILLIMETRES))
+    return float(description.get("depth_scale", MILLIMETERS))
 
 
 def read(path: Path, flags: int) -> NDArray[np.generic]:
@@ -64,14 +64,14 @@ def read(path: Path, flags: int) -> NDArray[np.generic]:
 
 
 def colored_depth(depth_m: NDArray[np.float64], near_m: float, far_m: float) -> Picture:
-    """Colour a depth picture (height, width) in metres by nearness, BGR; no measurement is black."""
+    """Color a depth picture (height, width) in meters by nearness, BGR; no measurement is black."""
     nearness = np.clip((far_m - depth_m) / max(far_m - near_m, 1e-9), 0, 1)
     colored = cv2.applyColorMap((255 * nearness).astype(np.uint8), cv2.COLORMAP_TURBO)
     colored[depth_m == 0] = 0
     return np.asarray(colored, dtype=np.uint8)
 
 
-def labelled(picture: NDArray[np.generic], height: int, text: str) -> Picture:
+def labeled(picture: NDArray[np.generic], height: int, text: str) -> Picture:
     """Bring a picture to one height and write a line of text above it."""
     width = round(picture.shape[1] * height / picture.shape[0])
     scaled = cv2.resize(picture.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
@@ -81,7 +81,7 @@ def labelled(picture: NDArray[np.generic], height: int, text: str) -> Picture:
 
 
 def row(source: Path, decoded: Path, index: int, height: int) -> Picture:
-    """Return one row: the four pictures of one frame, all depth on the input's own scale of colours."""
+    """Return one row: the four pictures of one frame, all depth on the input's own scale of colors."""
     depths = [
         read(pictures(folder, "depth")[index], cv2.IMREAD_UNCHANGED).astype(np.float64) / depth_scale(folder)
         for folder in (source, decoded)
@@ -95,7 +95,7 @@ def row(source: Path, decoded: Path, index: int, height: int) -> Picture:
         (colored_depth(depths[0], near_m, far_m), f"depth {near_m:.2f}-{far_m:.2f} m"),
         (colored_depth(depths[1], near_m, far_m), "decoded depth"),
     ]
-    return np.hstack([labelled(picture, height, text) for picture, text in cells])
+    return np.hstack([labeled(picture, height, text) for picture, text in cells])
 
 
 def montage(source: Path, decoded: Path, indices: list[int], height: int) -> Picture:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Repeat the experiment of Martins and Moura (1995), sec. 3, and set its figures beside ours.
 
-A grey video of 100x100 pixels shows one rigid object in motion before a static background; depth is
+A gray video of 100x100 pixels shows one rigid object in motion before a static background; depth is
 exact, poses are known, a depth threshold finds the object. The program prints a report and writes it
 with streams and pictures into a folder::
 
@@ -37,7 +37,7 @@ from threedvc.metrics.picture_quality import psnr
 from threedvc.parallel import default_threads
 from threedvc.synthesis import SyntheticSequence, make_scene
 from threedvc.synthesis.scenes import PAPER_THRESHOLD_M
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["main", "run", "write_decoded", "write_input", "write_spheres"]
 
@@ -58,7 +58,7 @@ DOWNWARD = -0.3
 """Slope of these views: a little from above."""
 RANGE_ENLARGEMENT = 3
 """Pixels of 100x100 pictures would be too small to see."""
-DARKEST_GREY = 40
+DARKEST_GRAY = 40
 """Of the farthest depth: black stands for none."""
 ROW_HEIGHT_PX = 240
 """Of the montage of frames, on a page."""
@@ -95,7 +95,7 @@ def write_input(folder: Path, frames: int) -> None:
 
 
 def pixel_size(sequence: FrameSequence) -> float:
-    """Return what a pixel covers at the object's median depth in the first frame, in metres to 0.1 mm."""
+    """Return what a pixel covers at the object's median depth in the first frame, in meters to 0.1 mm."""
     depth = sequence[0].depth
     near = depth[(depth > 0) & (depth < PAPER_THRESHOLD_M)]
     return round(float(np.median(near)) / sequence.info.rig.depth.fx, 4)
@@ -152,7 +152,7 @@ def snapshot(item: SceneObject) -> Snapshot:
 
 def object_quality(sequence: FrameSequence, path: Path) -> tuple[float, DepthErrors]:
     """Return mean PSNR and pooled depth errors of a stream over the pixels of the object."""
-    unit_mm = MILLIMETRES / sequence.info.depth_scale
+    unit_mm = MILLIMETERS / sequence.info.depth_scale
     psnrs: list[float] = []
     errors: list[DepthErrors] = []
     for given, drawn in zip(sequence, open_stream(path), strict=True):
@@ -190,12 +190,12 @@ def write_decoded(sequence: FrameSequence, path: Path, folder: Path) -> None:
 
 
 def range_picture(depth: NDArray[np.float32], near_m: float, far_m: float) -> Picture:
-    """Return depth in metres as grey by its inverse, near is bright and nothing is black, each pixel enlarged."""
+    """Return depth in meters as gray by its inverse, near is bright and nothing is black, each pixel enlarged."""
     valid = depth > 0
     inverse = 1 / np.where(valid, depth, far_m)
     nearness = np.clip((inverse - 1 / far_m) / (1 / near_m - 1 / far_m), 0, 1)
-    grey = np.where(valid, DARKEST_GREY + (255 - DARKEST_GREY) * nearness, 0).astype(np.uint8)
-    return np.kron(grey, np.ones((RANGE_ENLARGEMENT, RANGE_ENLARGEMENT), dtype=np.uint8))
+    gray = np.where(valid, DARKEST_GRAY + (255 - DARKEST_GRAY) * nearness, 0).astype(np.uint8)
+    return np.kron(gray, np.ones((RANGE_ENLARGEMENT, RANGE_ENLARGEMENT), dtype=np.uint8))
 
 
 def write_spheres(result: Result, folder: Path) -> None:
@@ -208,7 +208,7 @@ def write_spheres(result: Result, folder: Path) -> None:
             level = rotation_from_vector(np.array([0.0, 0.0, turn])) @ forward
             view = View.around(final, np.array([level[0], level[1], DOWNWARD]), SPHERES_WIDTH_PX)
             drawn = draw(_spheres(state), view)[..., ::-1]
-            pictures.append(montage.labelled(drawn, view.height, f"model after {count} frames, from {side}"))
+            pictures.append(montage.labeled(drawn, view.height, f"model after {count} frames, from {side}"))
         write_picture(folder / f"spheres_{count:03}.png", np.vstack(pictures))
 
 
@@ -217,7 +217,7 @@ def _spheres(state: Snapshot) -> Spheres:
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write a picture, BGR or grey."""
+    """Write a picture, BGR or gray."""
     if not cv2.imwrite(str(path), picture):
         raise SystemExit(f"{path}: cannot be written; choose another folder")
 

@@ -14,7 +14,7 @@ from threedvc.formats.evaluation.report import StreamStatistics
 from threedvc.geometry.pose import Pose
 from threedvc.metrics.depth_errors import DepthErrors
 from threedvc.metrics.paper_accounting import PaperAccounting
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["BACKGROUND", "CASES", "EARLY", "OBJECT", "PAPER_CELLS", "Case", "Result", "Snapshot", "report"]
 
@@ -158,7 +158,7 @@ def cell_table(*results: Result) -> tuple[list[str], list[list[str]]]:
 
 def cells_of(result: Result) -> str:
     """Return the size of the object's cells in words."""
-    return f"{MILLIMETRES * result.final.voxel_size_m:g} mm cells"
+    return f"{MILLIMETERS * result.final.voxel_size_m:g} mm cells"
 
 
 def accounting_rows(result: Result) -> list[list[str]]:
@@ -197,7 +197,7 @@ def _measure(name: str, form: str) -> Callable[[Result], str]:
 
 
 STREAM_ROWS: tuple[tuple[str, Callable[[Result], str]], ...] = (
-    ("cells of the background", lambda r: f"{MILLIMETRES * r.statistics.objects[BACKGROUND].voxel_size_m:g} mm"),
+    ("cells of the background", lambda r: f"{MILLIMETERS * r.statistics.objects[BACKGROUND].voxel_size_m:g} mm"),
     ("file", lambda r: f"{r.statistics.file_bytes:,} bytes"),
     ("rate", lambda r: f"{r.statistics.kbit_s:.2f} kbit/s"),
     ("against the 8-bit video (eq. 9)", lambda r: f"1:{r.statistics.paper.raw_bytes / r.statistics.file_bytes:.0f}"),

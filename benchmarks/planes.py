@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Turn colour and depth pictures into the planes that video codecs take, and back."""
+"""Turn color and depth pictures into the planes that video codecs take, and back."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RGB_TO_YUV = np.array(
 )
 YUV_TO_RGB = np.linalg.inv(RGB_TO_YUV.astype(np.float64)).astype(np.float32)
 CHROMA_ZERO = 128.0
-"""Chroma of grey, the middle of 8 bits."""
+"""Chroma of gray, the middle of 8 bits."""
 LOBES = 3
 """Of the windowed sinc: Lanczos-3, usual for resizing video."""
 TINY = np.float32(1e-6)
@@ -125,13 +125,13 @@ class InverseDepth:
         return cls(near_m=near_m, far_m=far_m if far_m > near_m else 1.001 * near_m)
 
     def numbers(self, depth: Plane) -> Plane:
-        """Return the numbers, not rounded, of depths (h, w) in metres; what has no depth is filled."""
+        """Return the numbers, not rounded, of depths (h, w) in meters; what has no depth is filled."""
         known = depth > 0
         step = (1 / self.near_m - 1 / self.far_m) / self.top
         inverse = 1 / np.where(known, depth, np.float32(self.far_m))
         return filled(((inverse - 1 / self.far_m) / step).astype(np.float32), known.astype(np.float32))
 
     def depth(self, numbers: Plane) -> Plane:
-        """Return the depths in metres of numbers (h, w)."""
+        """Return the depths in meters of numbers (h, w)."""
         share = np.clip(numbers / self.top, 0, 1)
         return np.asarray(1 / (share / self.near_m + (1 - share) / self.far_m), dtype=np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compare 3dvc with AV1 for colour and AV1 for depth: bytes at equal quality, and BD-rate.
+"""Compare 3dvc with AV1 for color and AV1 for depth: bytes at equal quality, and BD-rate.
 
 Encodes each sequence at several rates with both, scores all by `threedvc.metrics.picture_quality`, writes tables and
 plots::
@@ -130,7 +130,7 @@ def rates_of(text: str) -> tuple[float, ...]:
 
 def parsed(arguments: list[str] | None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Compare 3dvc with AV1 for colour and AV1 for depth.")
+    parser = argparse.ArgumentParser(description="Compare 3dvc with AV1 for color and AV1 for depth.")
     parser.add_argument("folders", type=Path, nargs="*", help=f"sequences (default: all in {DATA})")
     parser.add_argument("--frames", type=count, metavar="N", help="measure the first N frames of each")
     parser.add_argument("--rates", type=rates_of, metavar="KBIT_S,...", default=(),

@@ -18,7 +18,7 @@ STEPS = 200
 
 
 def plot(result: Result, picture: Path) -> None:
-    """Draw quality of colour and of depth over rate, and what 3dvc and the AV1 pair need for both."""
+    """Draw quality of color and of depth over rate, and what 3dvc and the AV1 pair need for both."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 4.5), layout="constrained")
@@ -51,7 +51,7 @@ def _their_pairs(axes: Any, result: Result) -> None:
         (size, point.quality[COLOR]) for point in result.ours if (size := result.equal(point, COLOR, DEPTH)) is not None
     ]
     rates = [result.kbit_s(size) for size, _ in needs]
-    axes.plot(rates, [quality for _, quality in needs], "s-", color=THEIR_COLOR, label="AV1, colour and depth")
+    axes.plot(rates, [quality for _, quality in needs], "s-", color=THEIR_COLOR, label="AV1, color and depth")
 
 
 def _finish(axes: Any) -> None:

@@ -28,7 +28,7 @@ from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.frames.frame import SequenceInfo
 from threedvc.metrics.depth_errors import DepthErrors, depth_units
 from threedvc.metrics.picture_quality import ColorQuality, mean_color_quality
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["RUNS", "Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
 
@@ -78,7 +78,7 @@ class Score:
     Attributes
     ----------
     depth_scale
-        Units per metre of the depth pictures, in which depth is compared.
+        Units per meter of the depth pictures, in which depth is compared.
     """
 
     depth_scale: float
@@ -90,9 +90,9 @@ class Score:
         self._color.append(ColorQuality.measure(given, seen))
 
     def add_depth(self, given: Plane, seen: Plane) -> None:
-        """Compare two depth pictures (h, w) in metres, 0 = no depth."""
+        """Compare two depth pictures (h, w) in meters, 0 = no depth."""
         units = [depth_units(depth, self.depth_scale) for depth in (given, seen)]
-        errors = DepthErrors.measure(units[0], units[1], MILLIMETRES / self.depth_scale)
+        errors = DepthErrors.measure(units[0], units[1], MILLIMETERS / self.depth_scale)
         self._depth = [self._depth[0] + errors] if self._depth else [errors]
 
     def quality(self) -> dict[str, float]:
@@ -147,7 +147,7 @@ class Recording:
 
     @cached_property
     def depth_range(self) -> tuple[float, float]:
-        """Smallest and largest depth of all frames in metres."""
+        """Smallest and largest depth of all frames in meters."""
         measured = [depth[depth > 0] for depth in self.depths()]
         ends = [(float(depth.min()), float(depth.max())) for depth in measured if len(depth)]
         return min((near for near, _ in ends), default=1.0), max((far for _, far in ends), default=1.0)
@@ -157,7 +157,7 @@ class Recording:
         return (frame.color for frame in self.frames)
 
     def depths(self) -> Iterator[Plane]:
-        """Yield the depth pictures in metres."""
+        """Yield the depth pictures in meters."""
         return (frame.depth for frame in self.frames)
 
     def encoder_frames(self) -> FolderSequence:
@@ -282,10 +282,10 @@ def _av1_setting(codec: VideoCodec) -> str:
 
 
 def _av1_color(recording: Recording, codec: VideoCodec) -> Point:
-    grey = recording.info.grey
-    coded = codec.encode_color(recording.colors(), grey)
+    gray = recording.info.gray
+    coded = codec.encode_color(recording.colors(), gray)
     score = Score(depth_scale=recording.info.depth_scale)
-    for given, seen in zip(recording.colors(), codec.decode_color(coded, grey), strict=True):
+    for given, seen in zip(recording.colors(), codec.decode_color(coded, gray), strict=True):
         score.add_color(given, seen)
     return Point(setting=_av1_setting(codec), size=coded.size, quality=score.quality())
 

@@ -17,13 +17,13 @@ __all__ = ["COLOR", "DEPTH", "Result", "report"]
 COLOR, DEPTH = "psnr_rgb", "depth_within_1pct"
 CHOICES = ((COLOR,), (DEPTH,), (COLOR, DEPTH))
 NOTE = """\
-3dvc is always counted with its whole file, which holds colour, depth and motion; AV1 with its coded
-pictures alone, no container. Colour is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit
+3dvc is always counted with its whole file, which holds color, depth and motion; AV1 with its coded
+pictures alone, no container. Color is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit
 inverse depth in luma, with the pixels that have none filled smoothly and no mask of them. Both are coded at full, half,
 quarter and an eighth of their size. Both codecs are scored on the same pictures by `threedvc.metrics.picture_quality`;
 depth only where the input has a value, and a lost pixel is a miss.
 
-"Equal PSNR" is what AV1 needs for the PSNR-RGB of a point of 3dvc, colour alone; "equal within 1 %" what it needs
+"Equal PSNR" is what AV1 needs for the PSNR-RGB of a point of 3dvc, color alone; "equal within 1 %" what it needs
 for as many pixels within 1 % of the true depth, depth alone; "both" is their sum, two videos against one file. They
 are read off the convex hull of AV1's points over all sizes, log rate interpolated by monotone cubics. ≤: the
 cheapest point of AV1 is better than asked; a dash: its dearest is not as good. "AV1/3dvc" above 1 means that 3dvc is
@@ -34,14 +34,14 @@ BD-rate is the mean difference of log rates over the qualities that both reach, 
 needs less, a dash that they have no range in common. That of the pair runs over the PSNR of 3dvc's points and holds
 each against the AV1 pair of the same PSNR and the same share within 1 %."""
 SUMMARY = (
-    "sequence", "frames", "BD-rate colour", "BD-rate depth", "BD-rate pair",
+    "sequence", "frames", "BD-rate color", "BD-rate depth", "BD-rate pair",
     "AV1/3dvc, equal PSNR", "AV1/3dvc, equal within 1 %", "AV1/3dvc, both",
 )  # fmt: skip
 OURS = (
     "3dvc", "bytes", "kbit/s", "PSNR RGB", "PSNR Y", "SSIM Y", "within 1 %", "within 10 mm", "RMSE mm", "lost",
     "AV1 equal PSNR", "AV1 equal within 1 %", "AV1 both", "AV1/3dvc",
 )  # fmt: skip
-COLOR_HEADER = ("AV1 colour", "bytes", "kbit/s", "PSNR RGB", "PSNR Y", "SSIM Y")
+COLOR_HEADER = ("AV1 color", "bytes", "kbit/s", "PSNR RGB", "PSNR Y", "SSIM Y")
 DEPTH_HEADER = ("AV1 depth", "bytes", "kbit/s", "within 1 %", "within 10 mm", "RMSE mm")
 COLOR_CELLS = {"psnr_rgb": 2, "psnr_y": 2, "ssim_y": 4}
 """Digits after the point of each measure of color in the tables."""
@@ -60,7 +60,7 @@ class Result:
     frames, seconds
         Its length.
     ours, color, depth
-        Points of 3dvc, of AV1 for colour and of AV1 for depth.
+        Points of 3dvc, of AV1 for color and of AV1 for depth.
     """
 
     sequence: str
@@ -78,7 +78,7 @@ class Result:
 
     @cached_property
     def worthwhile(self) -> list[Point]:
-        """Points of 3dvc that no other one equals in colour and in depth with fewer bytes."""
+        """Points of 3dvc that no other one equals in color and in depth with fewer bytes."""
         return [point for point in self.ours if not any(_beats(other, point) for other in self.ours)]
 
     def equal(self, point: Point, *measures: str) -> float | None:

@@ -39,7 +39,7 @@ HEADER = (
     "median mm", "ATE mm", "lost poses", "encode fps", "decode fps", "encode MiB", "decode MiB",
 )  # fmt: skip
 NOTE = """\
-Bytes are those of the whole file; the ratio is against raw 8-bit colour and 16-bit depth. PSNR and SSIM are means over
+Bytes are those of the whole file; the ratio is against raw 8-bit color and 16-bit depth. PSNR and SSIM are means over
 frames, in dB; "within 1 %" and "median" are depth errors over the pixels measured in the input, "lost" the fraction of
 them without decoded depth. ATE is the error of the camera's trajectory, or the largest of the objects', against the
 poses of the input. Frames per second and peak memory are those of whole commands, with their start and with reading

@@ -33,7 +33,7 @@ LARGEST_RADIUS_CELLS = 0.62
 TOP_RGB = np.array([252.0, 252.0, 252.0])
 """Of the background, which fades downwards to the next; by taste."""
 BOTTOM_RGB = np.array([214.0, 219.0, 226.0])
-"""A cool grey."""
+"""A cool gray."""
 # Directions to the lights in the axes of the view: x right, y down, z forward.
 KEY_LIGHT = np.array([-0.48, -0.65, -0.60])
 FILL_LIGHT = np.array([0.80, -0.10, -0.60])
@@ -49,10 +49,10 @@ class Spheres:
 
     Attributes
     ----------
-    centres
-        (n, 3) metres.
+    centers
+        (n, 3) meters.
     radii
-        (n,) metres.
+        (n,) meters.
     colors
         (n, 3) RGB, 0..255.
     """
@@ -70,10 +70,10 @@ class View:
     ----------
     axes
         (3, 3), rows right, down and forward in the frame of the object.
-    centre
-        (3,) point in the middle of the picture, metres.
+    center
+        (3,) point in the middle of the picture, meters.
     scale
-        Pixels per metre.
+        Pixels per meter.
     width, height
         Size of the picture in pixels.
     """
@@ -97,13 +97,13 @@ class View:
         return cls(axes=axes, center=center, scale=width / (2 * half_width_m), width=width, height=height)
 
     def place(self, points: Floats) -> Floats:
-        """Return (n, 3) column and row in pixels and depth in metres of points (n, 3)."""
+        """Return (n, 3) column and row in pixels and depth in meters of points (n, 3)."""
         placed = (points - self.center) @ self.axes.T
         middle = np.array([self.width / 2, self.height / 2])
         return np.column_stack([placed[:, :2] * self.scale + middle, placed[:, 2]])
 
     def points(self, rows: NDArray[np.intp], columns: NDArray[np.intp], depth: Floats) -> Floats:
-        """Return the points (n, 3) that the centres of pixels show at given depths."""
+        """Return the points (n, 3) that the centers of pixels show at given depths."""
         right = (columns + 0.5 - self.width / 2) / self.scale
         down = (rows + 0.5 - self.height / 2) / self.scale
         return np.asarray(np.column_stack([right, down, depth]) @ self.axes + self.center, dtype=np.float64)
@@ -168,7 +168,7 @@ def _axes(forward: Floats, down: Floats) -> Floats:
 
 
 def _splat(spheres: Spheres, view: View) -> tuple[Floats, NDArray[np.int32]]:
-    """Return the depth in metres and the sphere at every pixel; infinity and -1 where there is none."""
+    """Return the depth in meters and the sphere at every pixel; infinity and -1 where there is none."""
     depth = np.full((view.height, view.width), np.inf)
     owner = np.full((view.height, view.width), -1, dtype=np.int32)
     for number, ((x, y, z), radius) in enumerate(zip(view.place(spheres.centers), spheres.radii, strict=True)):

@@ -40,7 +40,7 @@ WARM_UP = 3
 """Frames tracked before anything is measured, so that all code is compiled."""
 FIRST, LAST, LAST_REMOVED = 100, 110, 129
 """Frames that are disturbed, and the last of those removed: some seconds after the start."""
-COUNTED = (PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.RELOCALISED, PoseStatus.LOST)
+COUNTED = (PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.RELOCALIZED, PoseStatus.LOST)
 HEADER = ("sequence", "disturbance", "frames", *map(str, COUNTED), "ATE mm", "RPE mm", "RPE deg", "object deg",
           "object mm", "fps, tracking", "fps, all")  # fmt: skip
 NOTE = """\
@@ -48,7 +48,7 @@ ATE is the root of the mean squared distance of camera positions after alignment
 frame, over all frames that were not lost; of objects the largest median error of turn and place after alignment of
 their frames. Frames per second are those of registration alone, and of all that the first pass does, without reading
 pictures. Luma has its full weight, as in a live stream; a file's first pass gives it a tenth (decision 0017).
-"black": depth is missing in frames 100 to 110; "covered": colour, too; "removed": frames 100 to 129 are."""
+"black": depth is missing in frames 100 to 110; "covered": color, too; "removed": frames 100 to 129 are."""
 
 
 def black(frames: Sequence[Frame]) -> list[Frame]:

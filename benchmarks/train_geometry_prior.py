@@ -224,7 +224,7 @@ def train(inputs: NDArray[np.uint8], outcomes: NDArray[np.uint8], steps: int, rn
     return weights
 
 
-def quantised(weights: list[Floats]) -> tuple[NDArray[np.int8], int]:
+def quantized(weights: list[Floats]) -> tuple[NDArray[np.int8], int]:
     """Return the weights as int8 (inputs and biases, then outputs; one row each), and the output bias."""
     rows = np.concatenate([weights[0], weights[1].T])
     scaled = np.clip(np.rint(rows * PRIOR_SCALE), -WEIGHT_LIMIT, WEIGHT_LIMIT).astype(np.int8)
@@ -241,7 +241,7 @@ def main() -> None:
     parts = [random_part(rng, random_shell(rng)) for _ in range(arguments.scenes)]
     samples = [decisions(state, added) for state, added in parts if len(added)]
     inputs, outcomes = (np.concatenate(part) for part in zip(*samples, strict=True))
-    rows, output_bias = quantised(train(inputs, outcomes, arguments.steps, rng))
+    rows, output_bias = quantized(train(inputs, outcomes, arguments.steps, rng))
     text = base64.b85encode(rows.tobytes()).decode()
     lines = "\n".join(f'    r"{text[k : k + LINE]}"' for k in range(0, len(text), LINE))
     print(MODULE.format(output_bias=output_bias, lines=lines), end="")

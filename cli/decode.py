@@ -42,13 +42,13 @@ FILTERS = ("all", "none", "silhouettes", "surfaces")
 @click.option("--camera-path", type=click.Path(path_type=Path), metavar="FILE",
               help="Draw from these viewpoints: lines as in poses.txt.")  # fmt: skip
 @click.option("--filter", "filter_parts", type=click.Choice(FILTERS), default="all", show_default=True,
-              help="Where to apply the stream's filter of colour pictures.")  # fmt: skip
+              help="Where to apply the stream's filter of color pictures.")  # fmt: skip
 @click.option("--depth", "depth_from", type=click.Choice(["filmed", "models"]), default="filmed", show_default=True,
               help="Depth as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
 @click.option("--colors", "color_from", type=click.Choice(["filmed", "models"]), default="filmed", show_default=True,
-              help="Colour as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
+              help="Color as filmed, where the stream has a video of it, or always that of the models.")  # fmt: skip
 @click.option("--supersample", type=click.IntRange(1, 4), metavar="1..4",
-              help="Rays per pixel side for colour.  [default: 2 on small pictures, else 1]")  # fmt: skip
+              help="Rays per pixel side for color.  [default: 2 on small pictures, else 1]")  # fmt: skip
 @force_option
 @threads_option
 def decode(
@@ -126,7 +126,7 @@ def decode(
 def _unread(codec: int) -> str:
     decoders = {VideoCodec.AV1: "dav1d", VideoCodec.FFV1: "FFV1"}
     remedy = f"install av with {decoders[VideoCodec(codec)]}" if codec in decoders else "use a newer 3dvc"
-    return f"cannot decode its colour video (codec {codec}), so the pictures show the models' colours; {remedy}"
+    return f"cannot decode its color video (codec {codec}), so the pictures show the models' colors; {remedy}"
 
 
 def _camera_path(path: Path) -> list[Pose]:

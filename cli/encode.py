@@ -27,7 +27,7 @@ from threedvc.cli.progress import Progress
 from threedvc.cli.requests import EncodeRequest
 from threedvc.cli.signals import Terminated, stop_on_signals
 from threedvc.errors import SequenceError
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 if TYPE_CHECKING:
     from threedvc.formats.encoding import EncodeReport
@@ -46,7 +46,7 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               help="A further sensor's INPUT, or the first one's.")  # fmt: skip
 @click.option("--extrinsics", metavar="FILE|TX,TY,TZ,QX,QY,QZ,QW", multiple=True,
               help="Pose of each sensor after the first in the first one's depth camera.  "
-              "[default: T_base_depth of intrinsics.json]")  # fmt: skip
+              "[default: T_rig_depth of intrinsics.json]")  # fmt: skip
 @click.option("--delay", type=float, metavar="SECONDS", multiple=True,
               help="Add to the times of each sensor after the first.  [default: 0]")  # fmt: skip
 @reader_options
@@ -62,9 +62,9 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               )  # fmt: skip
 @click.option("--sensor", type=click.Choice(SENSORS), multiple=True, help="Noise of the depth.  [default: auto]")
 @click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,
-              help="How much work: send at once; fit colours; refine cameras and poses, too; for longer.")  # fmt: skip
+              help="How much work: send at once; fit colors; refine cameras and poses, too; for longer.")  # fmt: skip
 @click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
-@click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colours.  [default: 50]")
+@click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colors.  [default: 50]")
 @click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
               help="Bits that tell where in a cell the surface passes.  [default: 1 if cheap]")  # fmt: skip
 @click.option("--depth-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
@@ -75,13 +75,13 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               help="Largest error of every measured depth: that of the models, a length, a share, the next depth that "
               "the sensor tells, or none.")  # fmt: skip
 @click.option("--color-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
-              help="Add a video of the pictures in place of the models' colours; auto: if that looks better at as many "
+              help="Add a video of the pictures in place of the models' colors; auto: if that looks better at as many "
               "bytes.")  # fmt: skip
 @click.option("--lossless", is_flag=True,
-              help="Keep every colour and depth exactly: the same as --color-video on, without loss, and --depth-error "
+              help="Keep every color and depth exactly: the same as --color-video on, without loss, and --depth-error "
               "lossless.")  # fmt: skip
 @click.option("--focus", type=focus, multiple=True, metavar="OBJECT|BOX=WEIGHT",
-              help="Let errors of an object's colours, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
+              help="Let errors of an object's colors, or in a box X0..X1,Y0..Y1,Z0..Z1 of the background, count more."
               )  # fmt: skip
 @click.option("--causal", is_flag=True, help="The same as --preset live.")
 @click.option("--verify", is_flag=True, help="Decode while encoding and compare.")
@@ -99,7 +99,7 @@ def encode(
 ) -> None:
     """Encode the RGB-D frames in the folder INPUT into a stream; OUTPUT.3dvc may be - (standard output).
 
-    Lengths: 8mm, 1cm, 0.02m; a plain number is metres.
+    Lengths: 8mm, 1cm, 0.02m; a plain number is meters.
 
     A live encode that is interrupted or terminated ends its stream with the frames so far; others keep what can be
     decoded beside OUTPUT.3dvc, as OUTPUT.3dvc.part, or leave nothing.
@@ -153,7 +153,7 @@ def _summary(report: EncodeReport, output: Path) -> str:
     return (
         f"{output}: {report.frames} frames, {report.file_bytes:,} bytes, "
         f"{report.file_bytes * 8 / report.duration_s / 1000:.1f} kbit/s, "
-        f"cells of {MILLIMETRES * report.voxel_size_m:g} mm, {report.frames / report.seconds:.1f} frames/s{lost}"
+        f"cells of {MILLIMETERS * report.voxel_size_m:g} mm, {report.frames / report.seconds:.1f} frames/s{lost}"
     )
 
 

@@ -12,7 +12,7 @@ import click
 
 from threedvc.cli.options import json_option, object_numbers, stream_argument, threads_option
 from threedvc.cli.progress import Progress
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 if TYPE_CHECKING:
     from threedvc.formats.view_planning import Exploration, ExploredObject
@@ -78,7 +78,7 @@ def _lines(report: Exploration) -> Iterator[str]:
 
 def _object(item: ExploredObject) -> str:
     return (
-        f"{item.id:>6} {item.cells:>10,} {MILLIMETRES * item.cell_m:>5.0f} mm {item.free:>6.1%} {item.occupied:>8.1%}"
+        f"{item.id:>6} {item.cells:>10,} {MILLIMETERS * item.cell_m:>5.0f} mm {item.free:>6.1%} {item.occupied:>8.1%}"
         f" {item.entropy_bits:>10,.0f} bits {item.in_sight_bits:>10,.0f} bits"
     )
 

@@ -77,7 +77,7 @@ def _message(error: Exception) -> str:
 def main() -> None:
     """Code RGB-D video of rigid scenes as object models and motion.
 
-    A folder of colour and depth pictures goes in, a .3dvc stream of a few kbit/s comes out, and
+    A folder of color and depth pictures goes in, a .3dvc stream of a few kbit/s comes out, and
     decodes at any size, from any viewpoint.
     """
 

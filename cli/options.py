@@ -46,7 +46,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 OUTPUTS = ("color", "depth", "labels")
 DECIMAL_EXPONENT = {"": 0, "m": 0, "cm": -2, "mm": -3}
-"""Of a unit in metres."""
+"""Of a unit in meters."""
 LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
 RATE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*([kKmM]?)\s*")
 RATE_EXPONENT = {"": 0, "k": 3, "m": 6}
@@ -63,10 +63,10 @@ BOX = re.compile(",".join([f"{BOUND}\\.\\.{BOUND}"] * 3))
 
 
 def length(text: str) -> float:
-    """Return metres: ``8mm``, ``1cm``, ``0.02m``; a plain number is metres."""
+    """Return meters: ``8mm``, ``1cm``, ``0.02m``; a plain number is meters."""
     match = LENGTH.fullmatch(text)
     if match is None:
-        raise click.BadParameter(f"{text!r} is not a length; write 8mm, 1cm, 0.02m or a number of metres")
+        raise click.BadParameter(f"{text!r} is not a length; write 8mm, 1cm, 0.02m or a number of meters")
     # By the decimal exponent, because a product such as 7 * 0.001 is not the number 0.007.
     return float(f"{match[1]}e{DECIMAL_EXPONENT[match[2]]}")
 
@@ -182,16 +182,16 @@ def reader_options(function: F) -> F:
     options = [
         click.option("--layout", type=click.Choice(layout_names()), multiple=True,
                      help="Layout of the recording.  [default: auto]"),
-        click.option("--color", metavar="DIR", multiple=True, help="Folder of colour pictures."),
+        click.option("--color", metavar="DIR", multiple=True, help="Folder of color pictures."),
         click.option("--depth", metavar="DIR", multiple=True, help="Folder of 16-bit depth pictures."),
         click.option("--intrinsics", metavar="FILE|FX,FY,CX,CY", multiple=True,
                      help="Cameras: an intrinsics.json, or four numbers."),
         click.option("--depth-scale", type=positive_number, metavar="N", multiple=True,
-                     help="Units of depth pictures per metre."),
+                     help="Units of depth pictures per meter."),
         click.option("--fps", type=positive_number, metavar="N", multiple=True, help="Frame rate of the recording."),
         click.option("--poses", metavar="READING", multiple=True,
                      help="What its camera poses are: as-given, inverted (world-to-camera), opengl (y up, z back), "
-                     "w-first (quaternions w x y z), millimetres, centimetres, body (x forward, z up), left-handed; or "
+                     "w-first (quaternions w x y z), millimeters, centimeters, body (x forward, z up), left-handed; or "
                      "several joined by +."),
     ]  # fmt: skip
     for option in reversed(options):

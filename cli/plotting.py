@@ -23,7 +23,7 @@ __all__ = ["check_plotting", "is_plot", "plot_statistics"]
 
 FORMATS = (".png", ".pdf", ".svg")
 MAKER = b"3dvc stats"
-STATUS_COLORS = {PoseStatus.RELOCALISED: "tab:blue", PoseStatus.WEAK: "tab:orange", PoseStatus.LOST: "tab:red"}
+STATUS_COLORS = {PoseStatus.RELOCALIZED: "tab:blue", PoseStatus.WEAK: "tab:orange", PoseStatus.LOST: "tab:red"}
 
 
 def check_plotting(path: Path) -> None:

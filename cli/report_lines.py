@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 if TYPE_CHECKING:
     from threedvc.formats.evaluation.frame_ranges import FrameSpan
@@ -42,8 +42,7 @@ def report_lines(report: StreamStatistics) -> Iterator[str]:
         yield ""
         yield from (_row(name, _measure(name, value)) for name, value in report.quality.items())
         if report.lossless:
-            spelled = {"color": "colour", "depth": "depth"}
-            yield _row("exact", ", ".join(f"{spelled[kind]} lossless" for kind in report.lossless))
+            yield _row("exact", ", ".join(f"{kind} lossless" for kind in report.lossless))
 
 
 def _row(name: str, text: str) -> str:
@@ -71,7 +70,7 @@ def _objects(report: StreamStatistics) -> Iterator[str]:
     yield ""
     yield f"{'objects':<{COLUMN}}  {'cells':>8} {'bytes':>12} {'poses':>7} {'cell':>8}"
     for item in report.objects:
-        cell = f"{MILLIMETRES * item.voxel_size_m:g} mm"
+        cell = f"{MILLIMETERS * item.voxel_size_m:g} mm"
         yield f"  {item.id:<{COLUMN - 2}}  {item.cells:>8,} {item.bytes:>12,} {item.poses:>7,} {cell:>8}"
 
 
@@ -135,7 +134,7 @@ def _travel(travel: Travel) -> str:
         return "the camera is at rest"
     return (
         f"{travel.length_m:.3f} m, turns by {travel.turn_deg:.1f} deg in all, {travel.largest_turn_deg:.1f} at most;"
-        f" steps up to {MILLIMETRES * travel.largest_step_m:.1f} mm {travel.largest_step_deg:.2f} deg"
+        f" steps up to {MILLIMETERS * travel.largest_step_m:.1f} mm {travel.largest_step_deg:.2f} deg"
     )
 
 

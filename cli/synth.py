@@ -45,7 +45,7 @@ def synth(
     """Render a scene into OUTDIR, with exact poses and, where things move, masks.
 
     \b
-    paper    one grey toy before a wall, nearer than 1.2 m, as in the experiment of Martins & Moura (1995)
+    paper    one gray toy before a wall, nearer than 1.2 m, as in the experiment of Martins & Moura (1995)
     objects  three toys that hide each other before a fixed camera; one of them pauses
     room     a hand-held camera in a furnished room that comes back to where it started
     """
@@ -56,7 +56,7 @@ def synth(
     sequences = mounted_sequences(make_scene(scene, frames=frames, size=size, seed=seed), sensors, noise, seed, threads)
     with Progress("synth", sum(len(sequence) for sequence, _ in sequences)) as progress:
         for number, (sequence, T) in enumerate(sequences):
-            info = sequence.info.with_rigs([replace(sequence.info.rig, T_depth_base=inverse(T))])
+            info = sequence.info.with_rigs([replace(sequence.info.rig, T_depth_rig=inverse(T))])
             place = folder if sensors == 1 else sensor_folder(folder, number)
             with PlainSink(place, info, mounted=sensors > 1, writer=SYNTH, force=force, threads=threads) as sink:
                 for frame in sequence:

@@ -16,7 +16,7 @@ __all__ = ["main", "reference"]
 INTRODUCTION = """\
 # Commands
 
-Written by `make docs` from the commands' own help. Lengths are `8mm`, `1cm`, `0.02m` or a number of metres. Results go
+Written by `make docs` from the commands' own help. Lengths are `8mm`, `1cm`, `0.02m` or a number of meters. Results go
 to standard output, progress and messages to standard error. The exit code is 0 after success, 1 after an error, which
 is one line that names the file, the value and the remedy, and 2 after wrong usage.
 """

@@ -56,8 +56,8 @@ and into `--json`. What is refused is refused before anything is encoded, with e
 A few pairs of frames are held against each other under the given poses. If much more of their depth disagrees than
 under another reading of the poses, or than after a registration, `--motion known` is an error and `auto` warns and
 tracks the camera. `--poses READING` says what poses are: `as-given`, `inverted` (world-to-camera), `opengl` (y up, z
-back), `w-first` (quaternions w x y z), `millimetres`, `centimetres`, `body` (x forward, y left, z up), `left-handed`,
-or several joined by `+`. Frames without a pose get one between their neighbours', or by registration with them.
+back), `w-first` (quaternions w x y z), `millimeters`, `centimeters`, `body` (x forward, y left, z up), `left-handed`,
+or several joined by `+`. Frames without a pose get one between their neighbors', or by registration with them.
 
 ## Recordings
 
@@ -103,7 +103,7 @@ ODDITIES: dict[str, str | dict[str, str]] = {
     "tum_base": "nothing",
     "poses_w2c": "poses are world-to-camera",
     "poses_opengl": "camera axes of OpenGL",
-    "poses_mm": "poses in millimetres",
+    "poses_mm": "poses in millimeters",
     "poses_offset": "poses of the next frame each",
     "bop_masks": "a mask for each object, FFFFFF_OOOOOO.png",
     "mask_suffix": "masks with a version in their names",
@@ -112,12 +112,12 @@ ODDITIES: dict[str, str | dict[str, str]] = {
     "mask_jpg": "masks are JPEG",
     "mask_16": "masks of 16 bits",
     "mask_1bit": "masks of 1 bit",
-    "mask_255": "one object, labelled 255",
+    "mask_255": "one object, labeled 255",
     "mask_rgb": "masks of 3 channels",
     "float_names": "names are seconds without trailing zeros",
     "rowmajor": "intrinsic_matrix written by rows",
     "nested_matrix": "intrinsic_matrix as nested rows",
-    "extr_mm": {"": "T_color_depth in millimetres", "m": "T_color_depth in metres"},
+    "extr_mm": {"": "T_color_depth in millimeters", "m": "T_color_depth in meters"},
     "depth_65535": "65535 where nothing was measured",
     "depth_late": {"": "no depth in the first frames", "5": "5 specks of depth in them", "40": "40 specks of it"},
     "fps_missing": {"": "10 frames a second by the stamps alone", "with": "and by intrinsics.json"},
@@ -143,15 +143,15 @@ ODDITIES: dict[str, str | dict[str, str]] = {
         "realsense_viewer": "take_Color_SECONDS.png of the RealSense viewer",
         "tiff": "depth as TIFF",
         "npy": "depth as NumPy arrays",
-        "webp": "colour as WebP",
-        "bmp": "colour as bitmaps",
-        "pgm": "depth as portable grey maps",
+        "webp": "color as WebP",
+        "bmp": "color as bitmaps",
+        "pgm": "depth as portable gray maps",
     },
-    "sizes": {"8 160 120": "nothing", "4 320 240 128 96": "depth smaller than colour", "1 160 120": "a single frame"},
+    "sizes": {"8 160 120": "nothing", "4 320 240 128 96": "depth smaller than color", "1 160 120": "a single frame"},
     "scenes": {
         "person": "somebody walks through",
         "lightsoff": "the light goes off",
-        "unregistered": "the colour camera stands 50 mm beside",
+        "unregistered": "the color camera stands 50 mm beside",
         "euclid": "depth along the ray",
         "teleport": "poses jump by 0.3 m",
         "rest": "nothing moves",
@@ -162,16 +162,16 @@ ODDITIES: dict[str, str | dict[str, str]] = {
         "oneside": "no depth in the left half",
     },
     "pics": {
-        "rgba": "colour with alpha", "palette": "colour with a palette", "grayalpha16depth": "depth with alpha",
-        "grey": "grey colour", "greymix": "some colour pictures grey", "color16": "colour of 16 bits",
+        "rgba": "color with alpha", "palette": "color with a palette", "grayalpha16depth": "depth with alpha",
+        "grey": "gray color", "greymix": "some color pictures gray", "color16": "color of 16 bits",
         "interlaced": "interlaced depth", "jpgdepth": "depth as JPEG", "depth8": "depth of 8 bits",
         "depthrgb16": "depth in three channels", "depthrgb8": "depth in channels of 8 bits",
         "mixed": "PNG and JPEG mixed", "progressive": "progressive JPEG", "restart": "JPEG with restart markers",
-        "greyjpg": "grey JPEG", "exif": "EXIF orientation 6", "fill": "JPEG fill bytes", "noeoi": "JPEG without end",
+        "greyjpg": "gray JPEG", "exif": "EXIF orientation 6", "fill": "JPEG fill bytes", "noeoi": "JPEG without end",
         "trailing": "bytes after the JPEG's end", "misnamed": "JPEG named .png", "upper": ".PNG", "jpegext": ".JPEG",
         "hidden": "files of file managers", "dirpng": "a folder named .png", "unpadded": "names 5 to 12",
         "gaps": "names 100, 110, 120", "symlink": "links to pictures", "brokenlink": "a broken link",
-        "zerobyte": "an empty picture", "truncated": "half a picture", "dark": "black colour",
+        "zerobyte": "an empty picture", "truncated": "half a picture", "dark": "black color",
         "covered": "the lens covered for a while", "nodepthfirst": "no depth at first",
         "nodepthlast": "no depth at last", "identical": "all frames the same", "exposure": "exposure that jumps",
         "onepixel": "depth on one pixel", "odd": "odd sizes and masks",

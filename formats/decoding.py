@@ -44,13 +44,13 @@ class DecodedFrame:
     index, timestamp_ns
         Which frame.
     color_timestamp_ns
-        Time of the colour picture as filmed if that is another, else None.
+        Time of the color picture as filmed if that is another, else None.
     sensor, number
         The sensor that took it, from 0, and which of its own frames it is.
     color
-        (h, w, 3) uint8 RGB in the colour camera.
+        (h, w, 3) uint8 RGB in the color camera.
     depth
-        (h, w) float32 metres in the depth camera, 0 = nothing there.
+        (h, w) float32 meters in the depth camera, 0 = nothing there.
     labels
         (h, w) uint8 object numbers in the depth camera.
     T_world_camera
@@ -143,7 +143,7 @@ class DecodedStream:
 
     @property
     def unread_codec(self) -> int | None:
-        """The number of the codec of a colour video that was wanted and cannot be decoded here; else None."""
+        """The number of the codec of a color video that was wanted and cannot be decoded here; else None."""
         return self.decoder.unread_codec
 
     def __iter__(self) -> Iterator[DecodedFrame]:
@@ -164,7 +164,7 @@ class DecodedStream:
             raise ConfigError(f"frame {first} is beyond the stream, which has {max(seen.values())} frames")
 
     def _gather_colors(self, state: FrameState) -> None:
-        """Colour the models by what a picture of a colour video shows, unless just such pictures are wanted."""
+        """Color the models by what a picture of a color video shows, unless just such pictures are wanted."""
         if state.captured_color is None or (self._as_filmed and self._same_picture):
             return
         renderer = self._filming[state.sensor]
@@ -247,7 +247,7 @@ def _info(header: StreamHeader | SensorHeader, rig: CameraRig, what: frozenset[s
         depth_scale=header.depth_scale,
         fps=NANOSECONDS * header.period_den / header.period_num,
         frame_count=None,
-        grey=header.grey,
+        gray=header.gray,
         has_camera_poses=True,
         has_object_poses=True,
         has_masks="labels" in what,
@@ -274,7 +274,7 @@ def open_stream(
     frames
         First frame and the one after the last, counted for each sensor by itself; None: all.
     what
-        Which of ``color``, ``depth``, ``labels`` are wanted; without colour its rays are saved.
+        Which of ``color``, ``depth``, ``labels`` are wanted; without color its rays are saved.
     size
         (width, height) of the pictures; None: as encoded.
     objects

@@ -69,9 +69,7 @@ def settle_poses(frames: FrameSequence, config: EncoderConfig) -> SettledPoses:
         return _without_poses(frames, config, told)
     completed = complete_poses(frames, poses, config.threads)
     if completed.missing:
-        return _without_poses(
-            frames, config, f"{told} and {completed.missing} cannot be placed beside their neighbours"
-        )
+        return _without_poses(frames, config, f"{told} and {completed.missing} cannot be placed beside their neighbors")
     ways = [
         f"{count} {'is' if count == 1 else 'are'} {way}"
         for count, way in ((completed.interpolated, "interpolated"), (completed.registered, "found by registration"))

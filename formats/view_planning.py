@@ -33,7 +33,7 @@ class ExploredObject:
     id
         Number; 0 is the world, with all objects that rest in it.
     cells, cell_m
-        Number of cells of its box, and edge of a cell in metres.
+        Number of cells of its box, and edge of a cell in meters.
     free, occupied
         Parts of the cells that are known to be so; the rest is uncertain or was not seen.
     entropy_bits
@@ -156,7 +156,7 @@ def explore(
         candidates=sum(len(target.candidates) for target in targets),
         objects=[_explored(target, bits) for target, bits in zip(targets, in_sight, strict=True)],
         proposals=proposals,
-        T_world_last_camera=compose(states[-1].T_world_camera, decoder.rigs[states[-1].sensor].T_depth_base),
+        T_world_last_camera=compose(states[-1].T_world_camera, decoder.rigs[states[-1].sensor].T_depth_rig),
     )
 
 

@@ -13,7 +13,7 @@ __all__ = ["Doubles", "Floats", "Labels", "Mask"]
 Doubles: TypeAlias = NDArray[np.float64]
 """What is solved or summed up."""
 Floats: TypeAlias = NDArray[np.float32]
-"""Pictures: depth in metres, luma in levels."""
+"""Pictures: depth in meters, luma in levels."""
 Mask: TypeAlias = NDArray[np.bool_]
 """Which pixels count."""
 Labels: TypeAlias = NDArray[np.uint16]

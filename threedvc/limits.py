@@ -77,10 +77,10 @@ MAX_DEPTH_SAMPLES: Final = 1 << 20
 """Samples of a depth picture."""
 
 MAX_COLOR_VIDEO_SAMPLES: Final = 1 << 31
-"""Samples of luma in all colour videos of a BATCH; they are decoded one picture at a time."""
+"""Samples of luma in all color videos of a BATCH; they are decoded one picture at a time."""
 
 MAX_MAGNIFICATION: Final = 12
-"""By how many quarters chroma of a colour video may be magnified."""
+"""By how many quarters chroma of a color video may be magnified."""
 
 MAX_SEQUENCE_SAMPLES: Final = 1 << 26
 """Samples of all pictures of a run that are predicted from each other."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["LUMA_WEIGHTS", "MILLIMETRES", "NANOSECONDS"]
+__all__ = ["LUMA_WEIGHTS", "MILLIMETERS", "NANOSECONDS"]
 
 NANOSECONDS: Final = 1_000_000_000
 """In a second."""
-MILLIMETRES: Final = 1000.0
-"""In a metre."""
+MILLIMETERS: Final = 1000.0
+"""In a meter."""
 LUMA_WEIGHTS: Final = (0.299, 0.587, 0.114)
 """Shares of red, green and blue in luma (ITU-R BT.601)."""

@@ -137,7 +137,7 @@ class StreamReader:
             if isinstance(error, UnsupportedVersion) or not self._recover:
                 raise type(error)(f"{self.name}: {error}") from None
             self._source.give_back(data)
-            self._resynchronise(error)
+            self._resynchronize(error)
 
     def _next_record(self) -> Record:
         while True:
@@ -149,7 +149,7 @@ class StreamReader:
             except FormatError as error:
                 if not self._recover:
                     raise self._located(error, offset) from None
-                self._resynchronise(error)
+                self._resynchronize(error)
 
     def _read_record(self) -> Record:
         offset = self._source.offset
@@ -191,7 +191,7 @@ class StreamReader:
             raise CorruptStream(reason)
         self.skipped.append(SkippedRange(offset, 0, reason))
 
-    def _resynchronise(self, error: FormatError) -> None:
+    def _resynchronize(self, error: FormatError) -> None:
         """Move to the next sync word after the present byte and note what lies between."""
         start = self._source.offset
         self._source.take(1)

@@ -17,7 +17,7 @@ from threedvc.geometry.pose import Pose
 from threedvc.metrics.depth_errors import DepthErrors, depth_units
 from threedvc.metrics.picture_quality import ColorQuality, mean_color_quality
 from threedvc.metrics.trajectory import TrajectoryError, trajectory_error
-from threedvc.units import MILLIMETRES, NANOSECONDS
+from threedvc.units import MILLIMETERS, NANOSECONDS
 
 __all__ = ["Comparison", "check_comparable", "paired"]
 
@@ -97,7 +97,7 @@ class Comparison:
     Attributes
     ----------
     depth_scale
-        Units per metre of depth pictures, in which depth is compared.
+        Units per meter of depth pictures, in which depth is compared.
     per_frame
         Measures of each frame alone, under their names in the JSON report.
     objects
@@ -116,7 +116,7 @@ class Comparison:
         """Compare one frame."""
         color, scale = ColorQuality.measure(given.color, drawn.color), self.depth_scale
         depth = DepthErrors.measure(
-            depth_units(given.depth, scale), depth_units(drawn.depth, scale), MILLIMETRES / scale
+            depth_units(given.depth, scale), depth_units(drawn.depth, scale), MILLIMETERS / scale
         )
         self.per_frame.append(asdict(color) | depth.quality())
         self._color.append(color)

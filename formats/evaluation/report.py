@@ -20,7 +20,7 @@ from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["BACKGROUND", "FrameStatistics", "ObjectStatistics", "SensorStatistics", "StreamStatistics"]
 
-NAMED = (PoseStatus.RELOCALISED, PoseStatus.WEAK, PoseStatus.LOST)
+NAMED = (PoseStatus.RELOCALIZED, PoseStatus.WEAK, PoseStatus.LOST)
 """Statuses whose frames are named one by one."""
 
 BACKGROUND = 0
@@ -40,7 +40,7 @@ class ObjectStatistics:
     poses
         Number of frames that carry a pose for it.
     guessed
-        Whether it only fills holes of the background, in colour.
+        Whether it only fills holes of the background, in color.
     passing
         Whether it stands for things that are there for a moment, such as hands.
     spans
@@ -90,7 +90,7 @@ class SensorStatistics:
     frames, duration_s
         Number of its frames, and that divided by its frame rate.
     raw_bytes
-        Size of its frames as 8-bit colour (with its channels) and 16-bit depth.
+        Size of its frames as 8-bit color (with its channels) and 16-bit depth.
     """
 
     number: int
@@ -147,7 +147,7 @@ class StreamStatistics:
     file_bytes, duration_s
         Size of the file, and frames divided by the frame rate; of several sensors that of the longest.
     raw_bytes
-        Size of the frames as 8-bit colour (with its channels) and 16-bit depth.
+        Size of the frames as 8-bit color (with its channels) and 16-bit depth.
     packets
         Totals by type of packet.
     objects
@@ -278,7 +278,7 @@ class StreamStatistics:
 
 
 def _position_and_turn(pose: Pose) -> list[float]:
-    """Return tx, ty, tz in metres and qx, qy, qz, qw."""
+    """Return tx, ty, tz in meters and qx, qy, qz, qw."""
     return [float(value) for value in (*pose[:3, 3], *quaternion(pose[:3, :3]))]
 
 

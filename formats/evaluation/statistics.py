@@ -212,7 +212,7 @@ def _objects(byte_counts: ByteCounts, decoder: Decoder, timeline: StreamTimeline
 
 
 def _sensor(number: int, header: StreamHeader | SensorHeader, timeline: StreamTimeline) -> SensorStatistics:
-    rig, channels, frames = rig_of(header), 1 if header.grey else 3, timeline.sensors.count(number)
+    rig, channels, frames = rig_of(header), 1 if header.gray else 3, timeline.sensors.count(number)
     raw_bytes = rig.color.width * rig.color.height * channels + rig.depth.width * rig.depth.height * DEPTH_BYTES
     return SensorStatistics(
         number=number,

@@ -60,7 +60,7 @@ class PlainSink:
         Made if absent. An empty folder or an earlier output is filled anew when the first frame comes; files of other
         names stay untouched.
     info
-        Cameras, depth scale, frame rate, and whether colour has one channel, of what is written. Where the sensor is
+        Cameras, depth scale, frame rate, and whether color has one channel, of what is written. Where the sensor is
         mounted among others stands there only if `mounted`.
     what
         Which of `PARTS` to write; others are ignored when handed over.
@@ -141,11 +141,11 @@ class PlainSink:
         index
             Number of the frame, which names its files; greater than that of the frame before.
         timestamp_ns, color_timestamp_ns
-            Times of the depth picture, and of the colour picture where that differs.
+            Times of the depth picture, and of the color picture where that differs.
         color
             (height, width, 3) uint8 RGB.
         depth
-            (height, width) metres. 0, NaN and what 16 bits cannot hold at the depth scale become 0, no measurement.
+            (height, width) meters. 0, NaN and what 16 bits cannot hold at the depth scale become 0, no measurement.
         labels
             (height, width) uint8 object labels in the depth camera.
         T_world_camera, T_camera_object
@@ -249,7 +249,7 @@ class PlainSink:
     ) -> Iterator[tuple[str, cv2.typing.MatLike]]:
         """Yield the parts to write as OpenCV wants them, in memory of their own."""
         if color is not None and "color" in self._what:
-            yield "color", color[..., 0].copy() if self._info.grey else cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
+            yield "color", color[..., 0].copy() if self._info.gray else cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
         if depth is not None and "depth" in self._what:
             yield "depth", _depth_units(depth, self._info.depth_scale)
         if labels is not None and "labels" in self._what:

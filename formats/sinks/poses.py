@@ -9,7 +9,7 @@ from threedvc.geometry.pose import Pose, quaternion
 
 __all__ = ["pose_lines"]
 
-HEADING = "# frame tx ty tz qx qy qz qw, T_world_camera, metres"
+HEADING = "# frame tx ty tz qx qy qz qw, T_world_camera, meters"
 
 
 def pose_lines(poses: Iterable[tuple[int, Pose | None]]) -> list[str]:

@@ -67,7 +67,7 @@ def intrinsics_text(info: SequenceInfo, *, mounted: bool, writer: str, complete:
             "T_color_depth": rig.T_color_depth.tolist(),
         }
     if mounted:
-        cameras["T_base_depth"] = inverse(rig.T_depth_base).tolist()
+        cameras["T_rig_depth"] = inverse(rig.T_depth_rig).tolist()
     content = {
         **cameras,
         "depth_scale": info.depth_scale,

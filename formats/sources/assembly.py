@@ -35,7 +35,7 @@ def assemble(
     cameras, options
         What the intrinsics say, and the user.
     depth_scale
-        Units per metre that are the custom of the layout, for neither saying any.
+        Units per meter that are the custom of the layout, for neither saying any.
     fps
         Frame rate.
     poses_from
@@ -51,7 +51,7 @@ def assemble(
         depth_scale=told or depth_scale,
         depth_scale_told=told is not None,
         fps=fps,
-        T_base_depth=cameras.T_base_depth,
+        T_rig_depth=cameras.T_rig_depth,
         poses_from=poses_from,
         notices=(*notices, *unread_masks(folder, frames), *cameras.notices),
         read_as=_contradiction(options.depth_scale, cameras.depth_scale),

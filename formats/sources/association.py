@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which colour picture belongs to which depth picture: by time, or by the numbers in the file names."""
+"""Which color picture belongs to which depth picture: by time, or by the numbers in the file names."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OTHER_PICTURES = {
     ".exr": "OpenEXR",
     ".webp": "WebP",
     ".bmp": "Windows bitmaps",
-    ".pgm": "portable grey maps",
+    ".pgm": "portable gray maps",
     ".ppm": "portable pixel maps",
     ".pfm": "portable float maps",
     ".hdr": "Radiance",
@@ -54,7 +54,7 @@ OTHER_PICTURES = {
     ".ply": "point clouds",
     ".pcd": "point clouds",
 }
-CONVERT = "convert colour to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimetres, 0 where there is none"
+CONVERT = "convert color to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimeters, 0 where there is none"
 MAX_DIFFERENCE_MS = 20
 """Between partners: the usual choice for the TUM benchmark, and less than half an interval at 24 frames a second."""
 MAX_CANDIDATES = 32
@@ -69,16 +69,16 @@ PicturePair = tuple[Path, Path]
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Colour and depth pictures that belong together, in order.
+    """Color and depth pictures that belong together, in order.
 
     Attributes
     ----------
     pairs
-        Colour and depth picture of each frame.
+        Color and depth picture of each frame.
     numbers
         The number in the name of each frame's depth picture.
     stamps
-        Where names are times: that of the depth picture in nanoseconds, and that of the colour picture if it is
+        Where names are times: that of the depth picture in nanoseconds, and that of the color picture if it is
         another. Empty where names are numbers.
     notices
         What was decided.
@@ -185,7 +185,7 @@ def pair_named(colors: NamedPictures, depths: NamedPictures) -> Pairing:
 def _in_order(colors: NamedPictures, depths: NamedPictures) -> Pairing:
     """Pair pictures without numbers in order of their names."""
     color_paths, depth_paths = list(colors.pictures.values()), list(depths.pictures.values())
-    counts = f"{len(color_paths)} colour and {len(depth_paths)} depth pictures"
+    counts = f"{len(color_paths)} color and {len(depth_paths)} depth pictures"
     named = f"{color_paths[0].name} and {depth_paths[0].name}"
     if len(color_paths) != len(depth_paths) or colors.numbered or depths.numbered:
         raise SequenceError(
@@ -205,7 +205,7 @@ def _by_time(colors: NamedPictures, depths: NamedPictures) -> Pairing:
     if not matches:
         raise SequenceError(
             f"{colors.folder}: names are times, and none is within {MAX_DIFFERENCE_MS} ms of one in {depths.folder} "
-            f"({len(color_paths)} colour and {len(depth_paths)} depth pictures, first {color_paths[0].name} and "
+            f"({len(color_paths)} color and {len(depth_paths)} depth pictures, first {color_paths[0].name} and "
             f"{depth_paths[0].name}); check that both clocks and units agree"
         )
     notices = [Notice(f"{depths.folder}: the names are taken for times in {depths.unit}; {_interval(depth_times)}")]
@@ -232,7 +232,7 @@ def left_out(colors: int, depths: int, pairs: int, place: str) -> list[Notice]:
         return []
     return [
         Notice(
-            f"{place}: {colors} colour, {depths} depth pictures, {pairs} pairs within {MAX_DIFFERENCE_MS} ms; "
+            f"{place}: {colors} color, {depths} depth pictures, {pairs} pairs within {MAX_DIFFERENCE_MS} ms; "
             f"{alone} left out"
         )
     ]
@@ -244,11 +244,11 @@ def _require_partners(colors: NamedPictures, depths: NamedPictures) -> None:
     no_color = [path for key, path in depths.pictures.items() if key not in colors.pictures]
     if not no_depth and not no_color:
         return
-    counts = f"{len(colors.pictures)} colour and {len(depths.pictures)} depth pictures"
+    counts = f"{len(colors.pictures)} color and {len(depths.pictures)} depth pictures"
     if no_depth and no_color:
         agree = len(colors.pictures) - len(no_depth)
         raise SequenceError(
-            f"{no_depth[0]}: has no depth picture in {depths.folder}, and {no_color[0].name} there no colour picture "
+            f"{no_depth[0]}: has no depth picture in {depths.folder}, and {no_color[0].name} there no color picture "
             f"({counts}, {agree} of their names agree); give the two pictures of a frame the same number"
         )
     if no_depth:
@@ -257,6 +257,5 @@ def _require_partners(colors: NamedPictures, depths: NamedPictures) -> None:
             "this one"
         )
     raise SequenceError(
-        f"{no_color[0]}: has no colour picture in {colors.folder} ({counts}); add the missing picture or remove "
-        "this one"
+        f"{no_color[0]}: has no color picture in {colors.folder} ({counts}); add the missing picture or remove this one"
     )

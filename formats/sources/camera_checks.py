@@ -23,10 +23,10 @@ MAX_PIXEL_RATIO = 2.0
 DOUBTFUL_PIXEL_RATIO = 1.5
 """Pictures that were resized to another shape have pixels up to 1.33 times as wide as high (16:9 to 4:3)."""
 MAX_BASELINE_M = 1.0
-"""Cameras of one sensor are centimetres apart; millimetres taken for metres make that tens of metres."""
+"""Cameras of one sensor are centimeters apart; millimeters taken for meters make that tens of meters."""
 MAX_BETWEEN_AXES_DEG = 90.0
 """Cameras of one sensor that look apart so far share no view."""
-CENTRED = (0.38, 0.62)
+CENTERED = (0.38, 0.62)
 """Where principal points lie in width and height; one that is off by the same share in both is of another size."""
 SAME_SHARE = 0.03
 """Of width and height, by which a principal point's places in both may differ to be the same share."""
@@ -82,23 +82,23 @@ def check_camera(camera: Camera, source: str, remedy: str) -> None:
 
 
 def check_rig(rig: CameraRig, source: str) -> None:
-    """Check that the colour and the depth camera of one sensor could lie so.
+    """Check that the color and the depth camera of one sensor could lie so.
 
     Raises
     ------
     SequenceError
-        If they are metres apart or look away from each other.
+        If they are meters apart or look away from each other.
     """
     apart = float(np.linalg.norm(rig.T_color_depth[:3, 3]))
     if apart > MAX_BASELINE_M:
         raise SequenceError(
-            f"{source}: T_color_depth puts the colour camera {apart:.3g} m from the depth camera; write its "
-            "translation in metres"
+            f"{source}: T_color_depth puts the color camera {apart:.3g} m from the depth camera; write its "
+            "translation in meters"
         )
     between = math.degrees(math.acos(float(np.clip(rig.T_color_depth[2, 2], -1, 1))))
     if between >= MAX_BETWEEN_AXES_DEG:
         raise SequenceError(
-            f"{source}: T_color_depth turns the colour camera by {between:.0f} degrees from the depth camera's view; "
+            f"{source}: T_color_depth turns the color camera by {between:.0f} degrees from the depth camera's view; "
             "write it for axes x right, y down, z forward"
         )
 
@@ -107,7 +107,7 @@ def doubts_of(camera: Camera, source: str) -> list[Notice]:
     """Return what is odd about a camera that could be."""
     doubts = []
     across, down = (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
-    if abs(across - down) < SAME_SHARE and not CENTRED[0] < across < CENTRED[1]:
+    if abs(across - down) < SAME_SHARE and not CENTERED[0] < across < CENTERED[1]:
         width, height = round(2 * camera.cx + 1), round(2 * camera.cy + 1)
         doubts.append(
             f"{source}: principal point {camera.cx:g},{camera.cy:g} lies at {across:.0%} of width and height; this "

@@ -26,13 +26,13 @@ PROBES_WITH_DATA = 3
 PLAUSIBLE_M = (0.05, 100.0)
 """Medians of depth that need no explanation: from a hand before a close-range camera to a street."""
 TOLD_PLAUSIBLE_M = (0.005, 500.0)
-"""Those of a scale that was told: endoscopes look at centimetres, lasers along streets."""
+"""Those of a scale that was told: endoscopes look at centimeters, lasers along streets."""
 FAR_SHARE, FAR_FACTOR = 0.02, 1.5
 """A value on more than this share of the pixels, beyond all others by this factor, stands for "no measurement"."""
 NEARLY_ALL = 0.999
 """Quantile of the other values that stands for the largest: a few may be strays."""
 MIN_NEIGHBORS, MIN_DENSE_SHARE = 3, 0.3
-"""Surfaces are made of measurements with neighbours: cameras have 3 of 8 at nearly all pixels, and the accumulated
+"""Surfaces are made of measurements with neighbors: cameras have 3 of 8 at nearly all pixels, and the accumulated
 scans of a rotating laser at 80 %; single scans and sparse points hardly anywhere."""
 MIN_MEASURED = 100
 """Pixels with depth: fewer tell nothing of how dense they lie."""
@@ -63,7 +63,7 @@ def check_depth(
     read
         Returns raw units (h, w), 0 = no measurement; raises SequenceError.
     depth_scale
-        Units per metre.
+        Units per meter.
     told
         Whether the user or the recording says so, rather than a custom of its layout.
     max_depth_m
@@ -111,8 +111,8 @@ def _check_scale(probes: Sequence[_Probe], depth_scale: float, *, told: bool, ma
     least, most = TOLD_PLAUSIBLE_M if told else PLAUSIBLE_M
     if not least <= median <= most:
         raise SequenceError(
-            f"{path}: depth of {extent} (median {median:.4g} m) is implausible at {depth_scale:g} units per metre; "
-            "give --depth-scale (1000 for millimetres)"
+            f"{path}: depth of {extent} (median {median:.4g} m) is implausible at {depth_scale:g} units per meter; "
+            "give --depth-scale (1000 for millimeters)"
         )
     if max_depth_m is not None and nearest > max_depth_m:
         raise ConfigError(f"--max-depth {max_depth_m:g} m leaves no depth: {path} has {extent}; give a larger value")
@@ -128,7 +128,7 @@ def _check_density(probes: Sequence[_Probe]) -> None:
     if count >= MIN_MEASURED and dense < MIN_DENSE_SHARE * count:
         raise SequenceError(
             f"{densest.path}: depth is on {count / measured.size:.1%} of the pixels, and only {dense / count:.0%} of "
-            f"these have {MIN_NEIGHBORS} neighbours with depth: too sparse to make surfaces of; fill it in (depth "
+            f"these have {MIN_NEIGHBORS} neighbors with depth: too sparse to make surfaces of; fill it in (depth "
             "completion), or give a depth camera's pictures"
         )
 

@@ -49,14 +49,14 @@ def open_sequence(
     intrinsics
         A JSON file (ours or Open3D's), a text file with a 3x3 matrix, or ``fx,fy,cx,cy`` in pixels.
     depth_scale
-        Units per metre of the depth pictures.
+        Units per meter of the depth pictures.
     fps
         Nominal frame rate; a layout with a clock of its own keeps its stamps.
     poses
         What the camera poses of the recording are to be taken for: ``as-given``, ``inverted``, ``opengl`` or others of
         `threedvc.geometry.pose_readings`, several joined by ``+``.
     max_depth_m
-        Depth beyond this many metres is no measurement.
+        Depth beyond this many meters is no measurement.
     frames
         ``(start, stop, step)`` as in a slice, except that a range beyond the end is an error and `step` is
         positive. Frames are numbered from 0 again and keep their stamps.
@@ -66,7 +66,7 @@ def open_sequence(
     Returns
     -------
     FolderSequence
-        Metres, OpenCV axes, camera-to-world poses, nanoseconds.
+        Meters, OpenCV axes, camera-to-world poses, nanoseconds.
 
     Raises
     ------

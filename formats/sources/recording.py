@@ -42,7 +42,7 @@ class SourceOptions:
     intrinsics
         A file, or ``fx,fy,cx,cy``.
     depth_scale
-        Units per metre of the depth pictures.
+        Units per meter of the depth pictures.
     fps
         Nominal frame rate.
     poses
@@ -102,12 +102,12 @@ class Recording:
     rig
         Cameras.
     depth_scale
-        Units per metre of the depth pictures.
+        Units per meter of the depth pictures.
     depth_scale_told
         Whether the user or the recording says so; else it is a custom of the layout.
     fps
         Nominal frame rate.
-    T_base_depth
+    T_rig_depth
         Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told.
     poses_from
         File or folder that the camera poses were read from, for messages.
@@ -123,7 +123,7 @@ class Recording:
     depth_scale: float
     fps: float
     depth_scale_told: bool = False
-    T_base_depth: Pose | None = None
+    T_rig_depth: Pose | None = None
     poses_from: Path | None = None
     notices: tuple[Notice, ...] = ()
     read_as: InputOptions = field(default_factory=dict)
@@ -137,18 +137,18 @@ class Layout:
     ----------
     name
         What a user calls it.
-    recognises
+    recognizes
         Tells, without opening a picture, whether a folder has this layout.
     read
         Lists a recording; raises SequenceError or ConfigError.
     takes_folders
-        Whether the colour and depth folders can be given.
+        Whether the color and depth folders can be given.
     trial
         When it is tried, where the layout is not told: the more telling its files, the sooner.
     """
 
     name: str
-    recognises: Callable[[Path], bool]
+    recognizes: Callable[[Path], bool]
     read: Callable[[Path, SourceOptions], Recording]
     takes_folders: bool = False
     trial: int = 60

@@ -27,7 +27,7 @@ LAYOUTS: tuple[Layout, ...] = tuple(sorted(_layouts(), key=lambda layout: layout
 """In the order in which they are tried."""
 
 EXPORTS = (
-    (("rgb.mp4", "odometry.csv"), "a recording of Stray Scanner, whose colour is a video; take its frames out as "
+    (("rgb.mp4", "odometry.csv"), "a recording of Stray Scanner, whose color is a video; take its frames out as "
      "color/NNNNNN.jpg, numbered as depth/ is, and give --intrinsics"),
     (("rgbd", "metadata*"), "an export of Record3D, whose depth is compressed; let it export PNG sequences, or convert "
      "rgbd/*.depth to 16-bit PNG"),
@@ -44,18 +44,18 @@ RTABMAP = ("rgb", "depth", "calib", "poses.txt")
 
 
 def find_layout(folder: Path, name: str, options: SourceOptions) -> Layout:
-    """Return the layout of a name, or for ``auto`` the first that recognises the folder.
+    """Return the layout of a name, or for ``auto`` the first that recognizes the folder.
 
     Raises
     ------
     ConfigError
         If there is no layout of that name, or it does not take the folders given.
     SequenceError
-        If no layout recognises the folder.
+        If no layout recognizes the folder.
     """
     gives_folders = options.color is not None or options.depth is not None
     if name == AUTO:
-        return _recognised(folder, gives_folders)
+        return _recognized(folder, gives_folders)
     layout = next((layout for layout in LAYOUTS if layout.name == name), None)
     if layout is None:
         raise ConfigError(f"--layout {name}: no such layout; choose one of {', '.join(layout_names())}")
@@ -64,14 +64,14 @@ def find_layout(folder: Path, name: str, options: SourceOptions) -> Layout:
     return layout
 
 
-def _recognised(folder: Path, gives_folders: bool) -> Layout:
+def _recognized(folder: Path, gives_folders: bool) -> Layout:
     if not gives_folders and all((folder / name).exists() for name in RTABMAP):
         raise SequenceError(
             f"{folder}: holds an export of RTAB-Map; give --layout bare and --intrinsics FILE or fx,fy,cx,cy, as "
             "calib/ has them (its poses.txt is not read)"
         )
     candidates = [layout for layout in LAYOUTS if layout.takes_folders or not gives_folders]
-    found = next((layout for layout in candidates if layout.recognises(folder)), None)
+    found = next((layout for layout in candidates if layout.recognizes(folder)), None)
     if found is not None:
         return found
     if gives_folders:
@@ -84,7 +84,7 @@ def _guess(folder: Path) -> str:
     export = next((told for marks, told in EXPORTS if all(any(folder.glob(mark)) for mark in marks)), None)
     if export is not None:
         return f"holds {export}"
-    deeper = next((child for child in inside if any(layout.recognises(child) for layout in LAYOUTS)), None)
+    deeper = next((child for child in inside if any(layout.recognizes(child) for layout in LAYOUTS)), None)
     if deeper is not None:
         return f"is not a recording, but {deeper} looks like one; give that folder"
     return "is in no layout that 3dvc knows; name it with --layout, or give --color DIR and --depth DIR"

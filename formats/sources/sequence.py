@@ -21,6 +21,7 @@ from threedvc.formats.sources.files.masks import check_masks, merged_labels
 from threedvc.formats.sources.files.timestamps import check_intervals
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Recording
+from threedvc.frames.depth_limit import limited_depth
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
@@ -76,7 +77,7 @@ class FolderSequence:
             depth_scale=recording.depth_scale,
             fps=recording.fps,
             frame_count=len(frames),
-            grey=channels == {1},
+            gray=channels == {1},
             read_as=recording.read_as,
             has_camera_poses=all(frame.T_world_camera is not None for frame in frames),
             has_object_poses=any(frame.T_camera_object for frame in frames),
@@ -99,9 +100,9 @@ class FolderSequence:
         return self._recording.poses_from
 
     @property
-    def T_base_depth(self) -> Pose | None:
+    def T_rig_depth(self) -> Pose | None:
         """Pose of the depth camera on the mount that it shares with other sensors, or None where that is not told."""
-        return self._recording.T_base_depth
+        return self._recording.T_rig_depth
 
     def facts(self) -> Sequence[FrameFiles]:
         """Return what is known of each frame without a look at its pictures."""
@@ -145,7 +146,7 @@ class FolderSequence:
     def _depth_m(self, path: Path) -> NDArray[np.float32]:
         depth = np.divide(self._raw_depth(path), np.float32(self._recording.depth_scale), dtype=np.float32)
         if self._max_depth_m is not None:
-            depth[depth > self._max_depth_m] = 0
+            depth = limited_depth(depth, self._max_depth_m)
         return depth
 
     def _mask(self, files: FrameFiles) -> NDArray[np.uint8] | None:
@@ -179,7 +180,7 @@ def _of_size(camera: Camera, picture: NDArray[Item], path: Path) -> NDArray[Item
 
 
 def _check_headers(recording: Recording) -> set[int]:
-    """Check kind and size of every picture without decoding it; return the channel counts of the colour pictures."""
+    """Check kind and size of every picture without decoding it; return the channel counts of the color pictures."""
     frames, rig = recording.frames, recording.rig
     colors = _headers([frame.color for frame in frames], (rig.color.width, rig.color.height))
     depth_size = (rig.depth.width, rig.depth.height)
@@ -222,7 +223,7 @@ def _headers(paths: Sequence[Path], size: tuple[int, int]) -> list[PictureHeader
 def _check_kinds(frame: FrameFiles, color: PictureHeader, depth: PictureHeader) -> None:
     if color.bits > 8 or color.channels not in (1, 3):
         raise SequenceError(
-            f"{frame.color}: colour is {_kind(color)}, expected 8-bit grey or RGB; convert the pictures to 8 bits"
+            f"{frame.color}: color is {_kind(color)}, expected 8-bit gray or RGB; convert the pictures to 8 bits"
         )
     if (depth.channels, depth.bits) != (1, 16):
         raise SequenceError(

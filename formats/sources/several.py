@@ -24,8 +24,8 @@ __all__ = ["open_sensors", "read_extrinsic"]
 
 Value = TypeVar("Value")
 
-MOUNT = "T_base_depth"
-FORMS = "give a file with a 4x4 matrix, or tx,ty,tz,qx,qy,qz,qw in metres"
+MOUNT = "T_rig_depth"
+FORMS = "give a file with a 4x4 matrix, or tx,ty,tz,qx,qy,qz,qw in meters"
 
 
 def open_sensors(
@@ -48,12 +48,12 @@ def open_sensors(
     Parameters
     ----------
     paths
-        A folder for each sensor, at least two. The depth camera of the first one is the base that poses belong to.
+        A folder for each sensor, at least two. Poses belong to the frame of the first one's depth camera, the rig.
     extrinsics
         For each sensor after the first where its depth camera is in the frame of the first one's,
         ``p_first = T_first_sensor @ p_sensor``: a file with a 4x4 matrix (text, or JSON as a list or under
-        ``T_base_depth``), or ``tx,ty,tz,qx,qy,qz,qw`` (metres). Empty: every recording's intrinsics.json has a
-        ``T_base_depth``, the pose of its depth camera on the mount.
+        ``T_rig_depth``), or ``tx,ty,tz,qx,qy,qz,qw`` (meters). Empty: every recording's intrinsics.json has a
+        ``T_rig_depth``, the pose of its depth camera on the mount.
     delays_s
         For each sensor after the first, seconds to add to its times; empty: all clocks agree.
     layout, color, depth, intrinsics, depth_scale, fps, poses
@@ -138,7 +138,7 @@ def _mounts(
                 "after the first"
             )
         return [read_extrinsic(text) for text in extrinsics]
-    told = [sequence.T_base_depth for sequence in sequences]
+    told = [sequence.T_rig_depth for sequence in sequences]
     for path, pose in zip(paths, told, strict=True):
         if pose is None:
             raise SequenceError(

@@ -146,7 +146,7 @@ def test_several_sensors_come_back(mounted: Path) -> None:
     for name in ("sensor0", "sensor1"):
         assert len(list((mounted / "out" / name / "color").iterdir())) == 4
         cameras = [json.loads((parent / name / "intrinsics.json").read_text()) for parent in (room, mounted / "out")]
-        np.testing.assert_allclose(cameras[1]["T_base_depth"], cameras[0]["T_base_depth"], atol=1e-12)
+        np.testing.assert_allclose(cameras[1]["T_rig_depth"], cameras[0]["T_rig_depth"], atol=1e-12)
         poses = [np.loadtxt(parent / name / "poses.txt") for parent in (room, mounted / "out")]
         np.testing.assert_allclose(poses[1], poses[0], atol=0.01)
     references = [part for name in ("sensor0", "sensor1") for part in ("--reference", room / name)]
@@ -171,7 +171,7 @@ def test_one_of_several_sensors(mounted: Path) -> None:
 
 def test_extrinsics_in_every_form(mounted: Path, tmp_path: Path) -> None:
     left, right = (mounted / "room" / name for name in ("sensor0", "sensor1"))
-    T = np.array(json.loads((right / "intrinsics.json").read_text())["T_base_depth"])
+    T = np.array(json.loads((right / "intrinsics.json").read_text())["T_rig_depth"])
     (tmp_path / "T.txt").write_text("\n".join(" ".join(map(str, row)) for row in T))
     (tmp_path / "T.json").write_text(json.dumps(T.tolist()))
     for form in (
@@ -184,7 +184,7 @@ def test_extrinsics_in_every_form(mounted: Path, tmp_path: Path) -> None:
                      "--preset", "live", "--frames", "0:2")  # fmt: skip
         assert result.exit_code == 0, result.stderr
         run("decode", tmp_path / "a.3dvc", tmp_path / "out")
-        found = json.loads((tmp_path / "out" / "sensor1" / "intrinsics.json").read_text())["T_base_depth"]
+        found = json.loads((tmp_path / "out" / "sensor1" / "intrinsics.json").read_text())["T_rig_depth"]
         np.testing.assert_allclose(found, T, atol=1e-6)
 
 

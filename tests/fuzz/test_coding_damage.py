@@ -30,7 +30,7 @@ NO_COLORS = np.empty((0, 3), dtype=np.int16)
 
 
 def state() -> tuple[NDArray[np.int32], NDArray[np.int16]]:
-    """Return a bent sheet of cells and its colours."""
+    """Return a bent sheet of cells and its colors."""
     x, y = np.meshgrid(np.arange(-12, 13), np.arange(-12, 13))
     cells = np.stack([x, y, x * y // 20], axis=-1).reshape(-1, 3).astype(np.int32)
     cells = cells[morton_order(cells)]
@@ -188,9 +188,9 @@ def test_cut_depths(length: int) -> None:
 
 
 @given(st.binary(max_size=120), st.booleans())
-def test_random_filter(payload: bytes, grey: bool) -> None:
+def test_random_filter(payload: bytes, gray: bool) -> None:
     try:
-        filters = decode_filter(payload, grey)
+        filters = decode_filter(payload, gray)
     except FormatError:
         return
     assert np.abs([filters.luma, filters.chroma]).max() <= MAX_FACTOR

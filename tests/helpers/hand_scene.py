@@ -50,10 +50,10 @@ def pushing(
     )
     rendered = SyntheticSequence(scene, "kinect", seed)
     info = replace(rendered.info, has_camera_poses=False, has_object_poses=True)
-    return ListSequence([_labelled(frame) for frame in rendered], info)
+    return ListSequence([_labeled(frame) for frame in rendered], info)
 
 
-def _labelled(frame: Frame) -> Frame:
+def _labeled(frame: Frame) -> Frame:
     assert frame.mask is not None
     poses = {label: pose for label, pose in frame.T_camera_object.items() if label < HAND}
     return replace(frame, mask=np.minimum(frame.mask, HAND).astype(np.uint8), T_camera_object=poses)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A box-shaped room with smooth colours on its walls, recorded analytically with known poses.
+"""A box-shaped room with smooth colors on its walls, recorded analytically with known poses.
 
 Tests write it in the layout of a data set and check what a reader makes of it.
 """
@@ -42,24 +42,24 @@ def wall_points(camera: Camera, pose: Pose) -> tuple[NDArray[np.float64], NDArra
 
 
 def wall_colors(points: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return the RGB colour of points on the walls; the three channels differ."""
+    """Return the RGB color of points on the walls; the three channels differ."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     channels = [np.sin(2.1 * x + 0.7 * z), np.sin(2.6 * y - 0.9 * x + 1), np.sin(1.9 * z + 1.3 * y + 2)]
     return np.rint(128 + 110 * np.stack(channels, axis=-1)).astype(np.uint8)
 
 
 def color_picture(camera: Camera, pose: Pose) -> NDArray[np.uint8]:
-    """Return what a colour camera at a pose sees, RGB."""
+    """Return what a color camera at a pose sees, RGB."""
     return wall_colors(wall_points(camera, pose)[0])
 
 
-def depth_picture(camera: Camera, pose: Pose, units_per_metre: float) -> NDArray[np.uint16]:
+def depth_picture(camera: Camera, pose: Pose, units_per_meter: float) -> NDArray[np.uint16]:
     """Return what a depth camera at a pose measures, in units."""
-    return np.rint(wall_points(camera, pose)[1] * units_per_metre).astype(np.uint16)
+    return np.rint(wall_points(camera, pose)[1] * units_per_meter).astype(np.uint16)
 
 
 def write_picture(path: Path, picture: NDArray[np.generic]) -> None:
-    """Write RGB, grey or depth as the PNG or JPEG that the name asks for."""
+    """Write RGB, gray or depth as the PNG or JPEG that the name asks for."""
     path.parent.mkdir(parents=True, exist_ok=True)
     stored = picture[..., ::-1] if picture.ndim == 3 else picture
     quality = [cv2.IMWRITE_JPEG_QUALITY, 100] if path.suffix == ".jpg" else []

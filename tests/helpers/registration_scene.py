@@ -61,7 +61,7 @@ def run(
 
 
 def errors(found: Pose, true: Pose, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[float, float]:
-    """Displacement of a point of the object in millimetres, and angle in degrees."""
+    """Displacement of a point of the object in millimeters, and angle in degrees."""
     point = np.array([*center, 1.0])
     turn = rotation_angle(found @ inverse(true))
     return 1000 * float(np.linalg.norm((found - true) @ point)), float(np.degrees(turn))

@@ -61,7 +61,7 @@ def row_of_cells(count: int) -> NDArray[np.int32]:
     return cells
 
 
-def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = False, reported: bool = True) -> bytes:
+def packed_stream(*, ended: bool = True, gray: bool = False, drifted: bool = False, reported: bool = True) -> bytes:
     """Return a stream of two batches of two frames: object 0 (300 cells) stands, object 1 (125 cells) moves."""
     sink = io.BytesIO()
     writer = StreamWriter(sink)
@@ -73,7 +73,7 @@ def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = Fal
         translation_step_m=STEP,
         rotation_step_rad=STEP,
         name=INFO.name,
-        grey=grey,
+        gray=gray,
     )
     writer.write(stream.packet())
     coder = PoseCoder(STEP, STEP)
@@ -99,7 +99,7 @@ def packed_stream(*, ended: bool = True, grey: bool = False, drifted: bool = Fal
 def roaming_stream(places_m: Sequence[float], *, ended: bool = True) -> bytes:
     """Return a stream of a wall 2 m ahead and of a cube of 0.3 m, 1 m ahead, that is this far right in each frame.
 
-    The camera sees half a metre to each side there.
+    The camera sees half a meter to each side there.
     """
     sink = io.BytesIO()
     writer = StreamWriter(sink)
@@ -230,7 +230,7 @@ class FakeStream:
 
 
 def drawn(packets: Sequence[Packet]) -> list[NDArray[np.uint8]]:
-    """Decode and draw colour pictures as `threedvc.decode` does."""
+    """Decode and draw color pictures as `threedvc.decode` does."""
     pictures = []
     for state, renderer, models in replay(packets, 2):
         picture = renderer.draw(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is fitted to the drawn pictures (colours, gains, light, poses, shifts, backdrop), and rates of whole streams."""
+"""What is fitted to the drawn pictures (colors, gains, light, poses, shifts, backdrop), and rates of whole streams."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def stream(name: str, config: EncoderConfig) -> list[Packet]:
     return encoded(scene(name), config)
 
 
-def test_fitted_colours_are_nearer_than_means() -> None:
+def test_fitted_colors_are_nearer_than_means() -> None:
     sequence = scene("small room")
     fitted = stream("small room", FAST)
     # Frames that can be read once only cannot be fitted to.
@@ -235,7 +235,7 @@ def test_wrong_camera_poses_are_put_right() -> None:
 
 
 @pytest.mark.long
-def test_a_colour_picture_taken_later_is_found_by_its_shift() -> None:
+def test_a_color_picture_taken_later_is_found_by_its_shift() -> None:
     sequence = scene("room", 14)
     encoder = Encoder(sequence.info, FAST)
     list(encoder.packets(sequence))
@@ -269,7 +269,7 @@ def test_hidden_cells_are_dropped_and_nothing_that_is_seen_goes() -> None:
     list(encoder.packets(sequence))
     item = encoder.scene.objects[0]
     size, front = item.evidence.voxel_size_m, extract_surface(item.evidence, 2, smooth=True).cells
-    # A wall of evidence that no frame can see: a copy of what is seen, set back by a metre.
+    # A wall of evidence that no frame can see: a copy of what is seen, set back by a meter.
     away = np.rint(np.array([0.0, 0.0, 1.0]) / size).astype(np.int32)
     T = item.poses[0]
     behind = front + np.rint(T[:3, :3].T @ away).astype(np.int32)
@@ -408,7 +408,7 @@ def with_hole(sequence: ListSequence) -> ListSequence:
     return ListSequence(frames, sequence.info)
 
 
-def test_holes_in_depth_are_drawn_in_colour_alone() -> None:
+def test_holes_in_depth_are_drawn_in_color_alone() -> None:
     sequence = with_hole(scene("small room"))
     packets = encoded(sequence, FAST)
     guessed = [packet.header["o"] for packet in members(packets, PacketType.OBJECT) if packet.header.get("g")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colour as filmed: its way through a stream, what is shown where, and what damage does."""
+"""Color as filmed: its way through a stream, what is shown where, and what damage does."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_every_batch_has_a_video_and_no_colors(packets: list[Packet]) -> None:
     assert not of_colors & {type_name(each.type) for each in members}
 
 
-def test_without_a_video_models_are_grey(path: Path) -> None:
+def test_without_a_video_models_are_gray(path: Path) -> None:
     models = colors(path, MODELS)
     assert all((picture == 128).mean() > 0.9 for picture in models)
     for other in ({"camera_path": [identity()]}, {"objects": [0]}):
@@ -188,8 +188,8 @@ def test_what_cannot_be_decoded_is_said_and_models_are_drawn(
     assert stream.unread_codec == 3
     result = CliRunner().invoke(main, ["decode", str(newer), str(tmp_path / "out")])
     assert result.exit_code == 0
-    assert "cannot decode its colour video (codec 3)" in result.stderr
-    assert "colour video" not in CliRunner().invoke(main, ["decode", str(path), str(tmp_path / "other")]).stderr
+    assert "cannot decode its color video (codec 3)" in result.stderr
+    assert "color video" not in CliRunner().invoke(main, ["decode", str(path), str(tmp_path / "other")]).stderr
     monkeypatch.setattr(packet_handlers, "can_decode_av1", lambda: False)
     np.testing.assert_array_equal(colors(path), colors(path, MODELS))
 
@@ -226,7 +226,7 @@ def test_depth_that_bends_has_a_video_too(tmp_path: Path) -> None:
 
 
 def test_what_cannot_have_a_video_says_so(sequence: SyntheticSequence, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match="a live stream cannot have a colour video"):
+    with pytest.raises(ConfigError, match="a live stream cannot have a color video"):
         replace(CONFIG, causal=True)
     with pytest.raises(ConfigError, match="frames that can be read again"):
         list(Encoder(sequence.info, CONFIG).packets(iter(sequence)))

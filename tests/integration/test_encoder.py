@@ -130,7 +130,7 @@ def test_packets_come_in_order() -> None:
 
 def test_the_stream_header_tells_of_the_input() -> None:
     header = StreamHeader.from_map(stream("paper")[1][0].header)
-    assert (header.name, header.grey, header.given_world, header.depth_scale) == ("paper", True, False, 1000.0)
+    assert (header.name, header.gray, header.given_world, header.depth_scale) == ("paper", True, False, 1000.0)
     assert header.color_camera[:2] == SIZES["paper"]
     assert header.depth_camera == header.T_color_depth == ()
     assert StreamHeader.from_map(stream("room")[1][0].header).given_world

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Labelled things that rest in a room before a camera that moves: they stay where they are."""
+"""Labeled things that rest in a room before a camera that moves: they stay where they are."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CONFIG = EncoderConfig(
 
 @cache
 def furnished() -> ListSequence:
-    """Return a room whose things within a ball are labelled 1, but for some frames."""
+    """Return a room whose things within a ball are labeled 1, but for some frames."""
     source = SyntheticSequence(make_scene("room", frames=4 * FRAMES, size=SIZE))
     frames = [
         replace(source[4 * index], index=index, timestamp_ns=round(index * 10**9 / source.info.fps))

@@ -63,7 +63,7 @@ def test_what_a_hand_pushes_is_an_object_of_its_own(held: bool, live: bool) -> N
     assert len(others) <= 1  # the hand
 
 
-def test_in_a_file_things_are_labelled_before_the_hand_comes() -> None:
+def test_in_a_file_things_are_labeled_before_the_hand_comes() -> None:
     first = filmed(False)[0]
     labels = labels_of(False, False)[0]
     for thing in (BOX, BALL):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colour without loss: its way through a stream, and what contradicts it."""
+"""Color without loss: its way through a stream, and what contradicts it."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ CONFIG = EncoderConfig(
 )
 
 
-def noisy(frame: Frame, grey: bool) -> Frame:
+def noisy(frame: Frame, gray: bool) -> Frame:
     noise = np.random.default_rng(frame.index).integers(0, 8, frame.color.shape, dtype=np.uint8)
     color = frame.color // 2 + noise
-    return replace(frame, color=color[..., :1].repeat(3, axis=-1) if grey else color)
+    return replace(frame, color=color[..., :1].repeat(3, axis=-1) if gray else color)
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["color", "grey"])
+@pytest.fixture(scope="module", params=[False, True], ids=["color", "gray"])
 def sequence(request: pytest.FixtureRequest) -> FrameSequence:
     filmed = SyntheticSequence(make_scene("room", frames=FRAMES, size=(64, 48)))
     frames = [noisy(frame, request.param) for frame in filmed]
-    return ListSequence(frames, replace(filmed.info, grey=request.param))
+    return ListSequence(frames, replace(filmed.info, gray=request.param))
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_what_cannot_be_decoded_is_said(packets: list[Packet], tmp_path: Path, m
     monkeypatch.setattr(packet_handlers, "can_decode_ffv1", lambda: False)
     result = CliRunner().invoke(main, ["decode", str(path), str(tmp_path / "out")])
     assert result.exit_code == 0
-    assert "cannot decode its colour video (codec 2)" in result.stderr
+    assert "cannot decode its color video (codec 2)" in result.stderr
     assert "install av with FFV1" in result.stderr
 
 

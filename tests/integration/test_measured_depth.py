@@ -94,7 +94,7 @@ def test_errors_keep_within_the_bound(
         assert (np.abs(got.depth - frame.depth) <= most(frame.depth) + 1e-6).all()  # type: ignore[operator]
 
 
-def test_one_level_off_is_a_neighbour(sequence: ListSequence, tmp_path: Path) -> None:
+def test_one_level_off_is_a_neighbor(sequence: ListSequence, tmp_path: Path) -> None:
     level = written(encoded(sequence, depth_error=DepthErrorConfig(kind=DepthErrorKind.LEVEL)), tmp_path / "a.3dvc")
     scale = sequence.info.depth_scale
     levels = np.unique(np.concatenate([raw(frame.depth, scale).ravel() for frame in sequence]))
@@ -170,7 +170,7 @@ def test_lossless_gives_back_every_picture(folder: Path, tmp_path: Path) -> None
             given, back = (cv2.imread(str(place / kind / name), -1) for place in (folder, tmp_path / "out"))
             np.testing.assert_array_equal(back, given)
     report = CliRunner().invoke(main, ["stats", stream, "--reference", str(folder)]).stdout
-    assert "exact               colour lossless, depth lossless\n" in report
+    assert "exact               color lossless, depth lossless\n" in report
 
 
 @pytest.mark.parametrize(

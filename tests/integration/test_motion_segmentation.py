@@ -61,7 +61,7 @@ def eased(frame: int) -> float:
 
 @cache
 def filmed(way: Callable[[int], tuple[tuple[float, float, float], float]] | None, count: int = FRAMES) -> Kept:
-    """Return a toy before a wall; `way` gives for a frame its shift in metres and turn about the upright axis."""
+    """Return a toy before a wall; `way` gives for a frame its shift in meters and turn about the upright axis."""
     scene = make_scene("paper", frames=count, size=SIZE)
     body = scene.bodies[0]
     if way is None:

@@ -104,21 +104,21 @@ class TestMerging:
         assert [frame.index for frame in frames] == list(range(12))
         times = [frame.timestamp_ns for frame in frames]
         assert times == sorted(times)
-        assert not any(frame.synchronised for frame in frames)
+        assert not any(frame.synchronized for frame in frames)
         assert merged.info.fps == pytest.approx(45, rel=0.01)
         np.testing.assert_array_equal(merged[4].color, frames[4].color)
 
     def test_equal_times_are_one_moment(self, room: tuple[list[ListSequence], Pose]) -> None:
         (left, right), T = room
         merged = MergedSequence([left, in_memory(right, offset_ns=MS // 2)], [T])
-        assert [frame.synchronised for frame in merged] == [False, True] * FRAMES
+        assert [frame.synchronized for frame in merged] == [False, True] * FRAMES
         assert [len(moment) for moment in frame_sets(merged, merged.info)] == [2] * FRAMES
         assert merged[1].timestamp_ns == MS // 2
 
     def test_a_delay_brings_clocks_together(self, room: tuple[list[ListSequence], Pose]) -> None:
         (left, right), T = room
         late = in_memory(right, offset_ns=5 * NANOSECONDS)
-        assert [frame.synchronised for frame in MergedSequence([left, late], [T], [-5 * NANOSECONDS])] == [
+        assert [frame.synchronized for frame in MergedSequence([left, late], [T], [-5 * NANOSECONDS])] == [
             False, True
         ] * FRAMES  # fmt: skip
 
@@ -168,15 +168,15 @@ class TestJointPose:
 
 class TestTurns:
     def test_the_shortest_cycle(self) -> None:
-        turns = [SensorSlot(sensor, synchronised=False) for sensor in (0, 1, 0, 0, 1, 0, 0, 1)]
+        turns = [SensorSlot(sensor, synchronized=False) for sensor in (0, 1, 0, 0, 1, 0, 0, 1)]
         assert shortest_cycle(turns) == tuple(turns[:3])
         assert shortest_cycle(turns[:1]) == (turns[0],)
 
     def test_round_trip(self) -> None:
         cycle = (
-            SensorSlot(0, synchronised=False),
-            SensorSlot(200, synchronised=True),
-            SensorSlot(3, synchronised=False),
+            SensorSlot(0, synchronized=False),
+            SensorSlot(200, synchronized=True),
+            SensorSlot(3, synchronized=False),
         )
         assert unpack_cycle(pack_cycle(cycle), 201) == cycle
 
@@ -187,7 +187,7 @@ class TestTurns:
 
 
 class TestStream:
-    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 3], ids=["synchronised", "apart"])
+    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 3], ids=["synchronized", "apart"])
     @pytest.mark.parametrize("preset", ["live", "fast", pytest.param("medium", marks=pytest.mark.long)])
     def test_every_sensor_gets_its_pictures(
         self, room: tuple[list[ListSequence], Pose], offset_ns: int, preset: str
@@ -214,13 +214,13 @@ class TestStream:
         (left, _), T = room
         count = 4
         left = beginning(left, count)
-        scene = replace(make_scene("room", frames=count, size=(64, 80)), grey=True)
+        scene = replace(make_scene("room", frames=count, size=(64, 80)), gray=True)
         (_, _), (other, T) = mounted_sequences(scene, 2, threads=1)
         other = in_memory(other, offset_ns=PERIOD_NS // 4, step=2)
         other.info = replace(other.info, depth_scale=500.0)
         stream = encoded(MergedSequence([left, other], [T]))
         opened = open_stream(io.BytesIO(stream))
-        assert [(info.rig.depth.width, info.depth_scale, info.grey) for info in opened.infos] == [
+        assert [(info.rig.depth.width, info.depth_scale, info.gray) for info in opened.infos] == [
             (96, 1000.0, False), (64, 500.0, True)
         ]  # fmt: skip
         shapes = [frame.depth.shape for frame in opened]
@@ -243,11 +243,11 @@ class TestStream:
             np.testing.assert_array_equal(frame.T_world_camera, identity())
 
     def test_poses_are_sent_once_a_moment(self, stream: bytes) -> None:
-        synchronised = statistics(io.BytesIO(stream))
-        assert synchronised.objects[0].poses <= FRAMES
-        assert synchronised.packets["SENSOR"].count == synchronised.packets["ORDER"].count == 1
-        assert [sensor.frames for sensor in synchronised.sensors] == [FRAMES, FRAMES]
-        assert synchronised.duration_s == pytest.approx(FRAMES / 30)
+        synchronized = statistics(io.BytesIO(stream))
+        assert synchronized.objects[0].poses <= FRAMES
+        assert synchronized.packets["SENSOR"].count == synchronized.packets["ORDER"].count == 1
+        assert [sensor.frames for sensor in synchronized.sensors] == [FRAMES, FRAMES]
+        assert synchronized.duration_s == pytest.approx(FRAMES / 30)
 
     def test_statistics_compare_every_sensor(self, room: tuple[list[ListSequence], Pose], stream: bytes) -> None:
         (left, right), _ = room
@@ -282,7 +282,7 @@ class TestTracking:
         found = [inverse(pose) for pose in scene.objects[0].poses[::2]]
         assert trajectory_error(true, found, list(range(FRAMES))).ate_rmse_mm < 20
 
-    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 2], ids=["synchronised", "apart"])
+    @pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 2], ids=["synchronized", "apart"])
     def test_sensors_that_see_nothing_in_common(self, offset_ns: int) -> None:
         ahead, away = ahead_and_behind()
         left = in_memory(ahead, step=2)
@@ -321,7 +321,7 @@ class TestTracking:
         merged = MergedSequence([left, without_poses(right)], [off @ T])
         encoder = Encoder(merged.info, with_preset(replace(FAST, motion=motion, voxel_size_m=0.02), Preset.MEDIUM))
         list(encoder.packets(merged))
-        error = inverse(T) @ inverse(encoder.scene.info.rigs[1].T_depth_base)
+        error = inverse(T) @ inverse(encoder.scene.info.rigs[1].T_depth_rig)
         assert np.degrees(rotation_angle(error)) < 0.3
         assert np.linalg.norm(error[:3, 3]) < 0.008
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A camera that loses its way: a new part of the model begins, and is joined to the first when that is recognised."""
+"""A camera that loses its way: a new part of the model begins, and is joined to the first when that is recognized."""
 
 from __future__ import annotations
 
@@ -88,12 +88,12 @@ def test_nothing_of_a_new_part_touches_the_first(
     assert heights[len(FIRST) + COVERED] > 20
 
 
-def test_parts_are_joined_when_the_first_is_recognised(
+def test_parts_are_joined_when_the_first_is_recognized(
     there_and_back: tuple[list[int | None], Scene, list[PoseStatus]],
 ) -> None:
     numbers, scene, status = there_and_back
     item = scene.objects[0]
-    assert status.count(PoseStatus.RELOCALISED) == 1
+    assert status.count(PoseStatus.RELOCALIZED) == 1
     assert item.found[-1] is not None
     assert item.found[-1].submap == 0
     assert item.tracker is not None
@@ -141,7 +141,7 @@ def test_chains_of_parts_are_joined() -> None:
     assert [at and at.T_camera_object[1, 3] for at in joined] == [0.0, 1.0, 2.0, 0.0, None]
 
 
-def test_a_lost_frame_is_between_its_neighbours_only_within_a_part() -> None:
+def test_a_lost_frame_is_between_its_neighbors_only_within_a_part() -> None:
     up = make_pose(np.eye(3), np.array([0.0, 4.0, 0.0]))
     lost = TrackedPose(T_camera_object=identity(), status=PoseStatus.LOST)
     first, second = (TrackedPose(T_camera_object=pose, status=PoseStatus.TRACKED) for pose in (identity(), up))

@@ -22,13 +22,13 @@ DISTANCE_M, DEPTH_NOISE_M, LUMA_NOISE = 1.5, 0.004, 3.0
 
 def seen(index: int, shades: np.ndarray, rng: np.random.Generator) -> Frame:
     depth = DISTANCE_M + rng.normal(scale=DEPTH_NOISE_M, size=(HEIGHT, WIDTH))
-    grey = shades + rng.normal(scale=LUMA_NOISE, size=(HEIGHT, WIDTH))
-    color = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
+    gray = shades + rng.normal(scale=LUMA_NOISE, size=(HEIGHT, WIDTH))
+    color = np.repeat(np.clip(gray, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
     return Frame(index=index, timestamp_ns=index * 33_333_333, color=color, depth=depth.astype(np.float32))
 
 
 @pytest.mark.parametrize(
-    "shades", [np.full((1, WIDTH), 150.0), np.linspace(60, 200, WIDTH)[None]], ids=["grey", "shaded"]
+    "shades", [np.full((1, WIDTH), 150.0), np.linspace(60, 200, WIDTH)[None]], ids=["gray", "shaded"]
 )
 @pytest.mark.parametrize("flicker", [0.0, 40.0])
 def test_the_camera_rests(shades: np.ndarray, flicker: float, rng: np.random.Generator) -> None:

@@ -75,17 +75,17 @@ def updates(draw: st.DrawFn) -> tuple[ModelUpdate, Cells, NDArray[np.int16]]:
 
 @given(updates(), st.booleans(), st.sampled_from([(1.0, 1.0), (16.0, 24.0), (200.0, 255.0)]))
 def test_update_round_trip(
-    sample: tuple[ModelUpdate, Cells, NDArray[np.int16]], grey: bool, steps: tuple[float, float]
+    sample: tuple[ModelUpdate, Cells, NDArray[np.int16]], gray: bool, steps: tuple[float, float]
 ) -> None:
     update, cells, colors = sample
-    settings = ColorSettings(luma_step=steps[0], chroma_step=steps[1], grey=grey)
+    settings = ColorSettings(luma_step=steps[0], chroma_step=steps[1], gray=gray)
     payload, expected = encode_update_with_result(update, cells, colors, settings)
     decoded = decode_update(payload, cells, colors)
     for name in ("added", "removed", "recolored"):
         assert np.array_equal(getattr(decoded, name), getattr(update, name))
     for name in ("added_colors", "recolored_colors"):
         assert np.array_equal(getattr(decoded, name), getattr(expected, name))
-        if grey:
+        if gray:
             assert np.all(getattr(decoded, name) == getattr(decoded, name)[:, :1])
         elif steps == (1.0, 1.0):
             assert np.all(np.abs(getattr(decoded, name) - getattr(update, name)) <= 8)

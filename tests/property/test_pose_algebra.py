@@ -15,7 +15,7 @@ from threedvc.geometry.pose import (
     inverse,
     is_rigid,
     make_pose,
-    orthonormalised,
+    orthonormalized,
     quaternion,
     rotation_angle,
     rotation_from_quaternion,
@@ -23,7 +23,7 @@ from threedvc.geometry.pose import (
     rotation_vector,
 )
 
-metres = st.floats(-100, 100)
+meters = st.floats(-100, 100)
 
 
 @st.composite
@@ -40,7 +40,7 @@ def turns(draw: st.DrawFn, largest: float = np.pi) -> NDArray[np.float64]:
 
 @st.composite
 def poses(draw: st.DrawFn) -> Pose:
-    return make_pose(rotation_from_vector(draw(turns())), np.array(draw(st.tuples(metres, metres, metres))))
+    return make_pose(rotation_from_vector(draw(turns())), np.array(draw(st.tuples(meters, meters, meters))))
 
 
 @given(poses(), poses(), poses())
@@ -91,11 +91,11 @@ def test_the_angle_is_that_of_the_turn_alone(pose: Pose, vector: NDArray[np.floa
 
 
 @given(poses(), st.integers(0, 2**32 - 1))
-def test_orthonormalised_repairs_rounding(pose: Pose, seed: int) -> None:
+def test_orthonormalized_repairs_rounding(pose: Pose, seed: int) -> None:
     rough = pose.copy()
     rough[:3, :3] += np.random.default_rng(seed).uniform(-1e-3, 1e-3, (3, 3))
-    mended = orthonormalised(rough)
+    mended = orthonormalized(rough)
     assert is_rigid(mended, tolerance=1e-9)
     assert rotation_angle(compose(inverse(pose), mended)) < 4e-3
     np.testing.assert_array_equal(mended[:3, 3], pose[:3, 3])
-    np.testing.assert_allclose(orthonormalised(pose), pose, atol=1e-9)
+    np.testing.assert_allclose(orthonormalized(pose), pose, atol=1e-9)

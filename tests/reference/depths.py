@@ -68,7 +68,7 @@ class DepthWriter:
         context = sum(self.values.get(other, 0) > 0 for other in around), self.values.get(beside, 0) > 0
         return self.bit(self.wishes[place] > 0, "there", *context)
 
-    def quantised(self, place: Place, guess: int, step: int, dead_zone: int) -> int:
+    def quantized(self, place: Place, guess: int, step: int, dead_zone: int) -> int:
         away = self.wishes[place] - guess
         if 256 * abs(away) < dead_zone * step:
             return 0
@@ -84,7 +84,7 @@ class DepthWriter:
         guess = left or above or self.last
         if left and above and corner:
             guess = left + above - corner
-        units = self.quantised((y, x), guess, self.steps[-1], 0)
+        units = self.quantized((y, x), guess, self.steps[-1], 0)
         self.number(2 * units - 1 if units > 0 else -2 * units, "root")
         self.settle((y, x), guess + units * self.steps[-1])
 
@@ -112,7 +112,7 @@ class DepthWriter:
         ends = sum(abs(self.residuals.get((y + k * dy, x + k * dx), 0)) for k in (-1, 1))
         energy = 2 * (abs(near) + abs(before)) + ends
         around = energy if energy < 3 else 3 if energy < 6 else 4 if energy < 12 else 5
-        units = self.quantised(place, guess, self.steps[level], self.dead_zone)
+        units = self.quantized(place, guess, self.steps[level], self.dead_zone)
         if self.bit(units != 0, "zero", min(level, 3), around, edge):
             self.number(abs(units) - 1, around)
             self.bit(units < 0, "sign", np.sign(2 * near + before))

@@ -91,7 +91,7 @@ def flooded(passable: NDArray[np.bool_], starts: NDArray[np.bool_]) -> NDArray[n
 def best_visibility(
     view: Floats, slopes: Floats, cell_m: float, opacity: Floats, sensor: SensorModel, reach_m: float
 ) -> Floats:
-    """Return the best look of a view's rays at each cell; `view` is its (3, 4) map from metres to cells."""
+    """Return the best look of a view's rays at each cell; `view` is its (3, 4) map from meters to cells."""
     looks = np.zeros(opacity.shape)
     for slope in slopes:
         along = view[:, :2] @ slope + view[:, 2]

@@ -99,7 +99,7 @@ def expected_color(
     T_camera_object: Pose,
     sensor: SensorModel,
 ) -> tuple[Floats, float]:
-    """Return colour and weight of a cell after a frame, from the model before it."""
+    """Return color and weight of a cell after a frame, from the model before it."""
     h = model.voxel_size_m
     position = _position(model, cell)
     color = model.color.reshape(-1, 3)[position].astype(np.float64)
@@ -167,7 +167,7 @@ def _in_window(
 
 
 def _look_up(seen: Observation, rig: CameraRig, point: Floats, voxel_size: float) -> Floats | None:
-    """Return the colour of a point in the level of the pyramid whose pixels are just finer than a cell."""
+    """Return the color of a point in the level of the pyramid whose pixels are just finer than a cell."""
     T = rig.T_color_depth
     there = T[:3, :3] @ point + T[:3, 3]
     if there[2] <= 0.01:

@@ -67,7 +67,7 @@ WALL = Planes(np.array([[0.0, 0, -1.0]]), np.array([-1.5]))
 
 
 def texture(points: Doubles) -> Doubles:
-    """Return a smooth luma pattern (...,) of points (..., 3) in metres."""
+    """Return a smooth luma pattern (...,) of points (..., 3) in meters."""
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     coarse = np.sin(23 * x + 5 * z) * np.sin(19 * y - 7 * z)
     fine = np.sin(83 * x + 11 * y) * np.sin(71 * y - 31 * z) + np.sin(67 * z + 29 * x)
@@ -105,7 +105,7 @@ def halved(luma: Floats) -> Floats:
 
 
 def bilinear(luma: Floats, x: float, y: float) -> float:
-    """Bilinear value; beyond the outer pixel centres the last two are continued."""
+    """Bilinear value; beyond the outer pixel centers the last two are continued."""
     height, width = luma.shape
     column, row = min(max(int(np.floor(x)), 0), width - 2), min(max(int(np.floor(y)), 0), height - 2)
     fx, fy = x - column, y - row

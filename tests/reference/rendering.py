@@ -21,7 +21,7 @@ FACES = [(axis, way) for axis in range(3) for way in (-1, 1)]
 
 
 def surface_cells(shape: Shape, voxel_size: float, reach: float) -> Cells:
-    """Return the cells nearest to the zero of a signed distance (n, 3) -> (n,), within `reach` metres of the origin."""
+    """Return the cells nearest to the zero of a signed distance (n, 3) -> (n,), within `reach` meters of the origin."""
     side = int(np.ceil(reach / voxel_size))
     axis = np.arange(-side, side + 1)
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
@@ -35,7 +35,7 @@ def surface_cells(shape: Shape, voxel_size: float, reach: float) -> Cells:
 
 
 def model_of_cells(cells: Cells, voxel_size: float, colors: NDArray[np.int16] | None = None) -> DecodedModel:
-    """Return a model with these cells, grey unless told otherwise."""
+    """Return a model with these cells, gray unless told otherwise."""
     model = DecodedModel(voxel_size)
     colors = np.full((len(cells), 3), 128, dtype=np.int16) if colors is None else colors
     model.apply(ModelUpdate.adding(cells, colors))

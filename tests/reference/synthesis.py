@@ -106,7 +106,7 @@ def depth_and_labels(scene: Scene, index: int) -> tuple[Array, NDArray[np.uint8]
 
 
 def plain_color(scene: Scene, index: int) -> Array:
-    """Return the colours of a scene whose textures are all plain and without grain, (height, width, 3), unrounded."""
+    """Return the colors of a scene whose textures are all plain and without grain, (height, width, 3), unrounded."""
     camera = scene.rig.color
     T_color_world = scene.rig.T_color_depth @ inverse(scene.T_world_camera[index])
     placed = placed_parts(scene, index, T_color_world)

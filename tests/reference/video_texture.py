@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Slow reference of colours gathered from pictures, pixel by pixel as docs/drawing.md says."""
+"""Slow reference of colors gathered from pictures, pixel by pixel as docs/drawing.md says."""
 
 from __future__ import annotations
 
@@ -48,5 +48,5 @@ def gather(
 
 
 def color(total: list[int]) -> list[int]:
-    """Return the colour of a texel."""
+    """Return the color of a texel."""
     return [(2 * value + total[3]) // (2 * total[3]) for value in total[:3]]

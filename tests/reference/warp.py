@@ -20,7 +20,7 @@ def transformed(pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def world_points(frame: Frame, rig: CameraRig, stride: int = 1) -> NDArray[np.float64]:
-    """Return the measured points of a frame in the world, (n, 3) metres, taking every `stride`-th pixel."""
+    """Return the measured points of a frame in the world, (n, 3) meters, taking every `stride`-th pixel."""
     assert frame.T_world_camera is not None
     depth = frame.depth.astype(np.float64)[::stride, ::stride]
     slopes = rig.depth.rays()[::stride, ::stride]
@@ -38,7 +38,7 @@ def nearest_pixels(camera: Camera, points: NDArray[np.float64]) -> tuple[NDArray
 
 
 def depth_differences(source: Frame, target: Frame, rig: CameraRig, stride: int = 1) -> NDArray[np.float64]:
-    """Return predicted minus measured depth in `target`, metres, where points of `source` fall on a measurement."""
+    """Return predicted minus measured depth in `target`, meters, where points of `source` fall on a measurement."""
     assert target.T_world_camera is not None
     points = transformed(inverse(target.T_world_camera), world_points(source, rig, stride))
     pixels, inside = nearest_pixels(rig.depth, points)
@@ -47,7 +47,7 @@ def depth_differences(source: Frame, target: Frame, rig: CameraRig, stride: int 
 
 
 def colors_at(frame: Frame, rig: CameraRig, points: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return the colours (m, 3) that a frame shows of world points (n, 3), and which points it shows."""
+    """Return the colors (m, 3) that a frame shows of world points (n, 3), and which points it shows."""
     assert frame.T_world_camera is not None
     in_depth = transformed(inverse(frame.T_world_camera), points)
     pixels, inside = nearest_pixels(rig.color, transformed(rig.T_color_depth, in_depth))

@@ -159,7 +159,7 @@ def opens_files(path: Path) -> bool:
 
 class TestTexts:
     @pytest.mark.parametrize("path", python_files(*OWN_FOLDERS), ids=lambda path: str(path.relative_to(REPOSITORY)))
-    def test_python_file_starts_with_its_licence(self, path: Path) -> None:
+    def test_python_file_starts_with_its_license(self, path: Path) -> None:
         assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: MIT\n")
 
     def test_nothing_ignored_is_tracked(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lossy coding of cell colours: a hierarchical transform with prediction, level by level."""
+"""Lossy coding of cell colors: a hierarchical transform with prediction, level by level."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from threedvc.kernels.coding.color_coding import (
     COLOR_SETS,
     COLOR_WEIGHT_ROWS,
     SIGN_COUNTERS,
-    Quantiser,
+    Quantizer,
     code_colors,
 )
 from threedvc.kernels.coding.color_transform import (
@@ -35,10 +35,10 @@ from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 __all__ = ["MAX_STEP", "MIN_STEP", "ColorSettings", "code_cell_colors"]
 
 STEP_BITS = 4
-"""Steps are coded in 2^-4 of a grey level. As the next two, this is part of the format (docs/coding.md)."""
+"""Steps are coded in 2^-4 of a gray level. As the next two, this is part of the format (docs/coding.md)."""
 MIN_STEP, MAX_STEP = 2**-STEP_BITS, 255.0
-"""From the least that can be coded to the range of a colour."""
-MIDDLE_GREY = 128 << FRACTION_BITS
+"""From the least that can be coded to the range of a color."""
+MIDDLE_GRAY = 128 << FRACTION_BITS
 """Guess of the first mean."""
 BYTES_PER_COEFFICIENT = 64
 """Room for one: the costliest takes 46, of 31 adaptive bits at 11 bits each and 21 even ones."""
@@ -48,39 +48,39 @@ PRICE = 30
 
 @dataclass(frozen=True, kw_only=True)
 class ColorSettings:
-    """How finely colours are coded.
+    """How finely colors are coded.
 
     Attributes
     ----------
     luma_step, chroma_step
-        Quantisation steps in grey levels, 1/16 to 255; coded in sixteenths.
-    grey
+        Quantization steps in gray levels, 1/16 to 255; coded in sixteenths.
+    gray
         Whether there is luma alone.
     """
 
     luma_step: float = 24.0
     chroma_step: float = 36.0
-    grey: bool = False
+    gray: bool = False
 
     def __post_init__(self) -> None:
         for step in (self.luma_step, self.chroma_step):
             if not MIN_STEP <= step <= MAX_STEP:
-                raise ConfigError(f"colour step {step} must be within {MIN_STEP}..{MAX_STEP}")
+                raise ConfigError(f"color step {step} must be within {MIN_STEP}..{MAX_STEP}")
 
     @property
     def channels(self) -> int:
         """Number of coded channels."""
-        return 1 if self.grey else 3
+        return 1 if self.gray else 3
 
     def code(self, coder: RangeCoder) -> ColorSettings:
         """Code the settings; return them as the decoder sees them."""
         counters = new_counters(NUMBER_COUNTERS)
-        grey = coder.bit(self.grey)
+        gray = coder.bit(self.gray)
         luma = coder.number(round(self.luma_step * 2**STEP_BITS), counters)
-        chroma = luma if grey else coder.number(round(self.chroma_step * 2**STEP_BITS), counters)
+        chroma = luma if gray else coder.number(round(self.chroma_step * 2**STEP_BITS), counters)
         if not (1 <= luma <= MAX_STEP * 2**STEP_BITS and 1 <= chroma <= MAX_STEP * 2**STEP_BITS):
-            raise CorruptStream(f"colour steps {luma}/16, {chroma}/16 are out of range; the stream is damaged")
-        return ColorSettings(luma_step=luma / 2**STEP_BITS, chroma_step=chroma / 2**STEP_BITS, grey=grey)
+            raise CorruptStream(f"color steps {luma}/16, {chroma}/16 are out of range; the stream is damaged")
+        return ColorSettings(luma_step=luma / 2**STEP_BITS, chroma_step=chroma / 2**STEP_BITS, gray=gray)
 
     def steps(self) -> NDArray[np.int64]:
         """Return the steps per channel in fixed point."""
@@ -89,7 +89,7 @@ class ColorSettings:
 
 
 class _MeanTree:
-    """Mean colours and weights of the nodes of every level of an octree, and of the cells behind them."""
+    """Mean colors and weights of the nodes of every level of an octree, and of the cells behind them."""
 
     def __init__(
         self, tree: Octree, colors: NDArray[np.int16], channels: int, importance: NDArray[np.float32] | None = None
@@ -123,7 +123,7 @@ def code_cell_colors(
     coded_levels: int | None = None,
     importance: NDArray[np.float32] | None = None,
 ) -> NDArray[np.int16]:
-    """Code the colours of cells that both sides know.
+    """Code the colors of cells that both sides know.
 
     Parameters
     ----------
@@ -156,14 +156,14 @@ def code_cell_colors(
     channels = settings.channels
     true, known = _MeanTree(tree, colors, channels, importance), _MeanTree(state, state_colors, channels)
     mixer = new_mixer(COLOR_MODELS, COLOR_SETS, COLOR_WEIGHT_ROWS)
-    quantiser = Quantiser(
+    quantizer = Quantizer(
         settings.steps(), PRICE, new_counters(channels * NUMBER_COUNTERS), new_counters(SIGN_COUNTERS)
     )
     own, beside = Neighborhood(True), Neighborhood(len(state.codes) > 0)
     first = 0 if coded_levels is None else len(tree.levels) - coded_levels
     means = np.empty((0, channels), dtype=np.int64)
     if node_colors is None:
-        means = _code_root(coder, true.means[0], known.means[0], int(true.weights[0][0]), quantiser)
+        means = _code_root(coder, true.means[0], known.means[0], int(true.weights[0][0]), quantizer)
     parents, parent_energy = np.zeros(1, dtype=np.int32), np.zeros((1, channels), dtype=np.int32)
     for number, level in enumerate(tree.levels):
         count = int(BIT_COUNTS[level.masks].sum())
@@ -194,8 +194,8 @@ def code_cell_colors(
             state_near=beside.near,
         )
         coder.reserve(BYTES_PER_COEFFICIENT * channels * count)
-        if not code_colors(coder.coder, mixer, quantiser, stage, len(tree.levels) - 1 - number):
-            raise CorruptStream("the colours of a model update end too early; the stream is damaged")
+        if not code_colors(coder.coder, mixer, quantizer, stage, len(tree.levels) - 1 - number):
+            raise CorruptStream("the colors of a model update end too early; the stream is damaged")
         means, parent_energy = stage.child_means, stage.energy
         parents = children_of(level)[1]
     decoded = np.empty((len(means), 3), dtype=np.int16)
@@ -208,13 +208,13 @@ def _code_root(
     true: NDArray[np.int64],
     known: NDArray[np.int64],
     weight: int,
-    quantiser: Quantiser,
+    quantizer: Quantizer,
 ) -> NDArray[np.int64]:
-    """Code the mean colour (1, channels) of all cells, predicted by that of the state."""
-    guess = known[0] if len(known) else np.array([MIDDLE_GREY, 0, 0], dtype=np.int64)[: true.shape[1]]
+    """Code the mean color (1, channels) of all cells, predicted by that of the state."""
+    guess = known[0] if len(known) else np.array([MIDDLE_GRAY, 0, 0], dtype=np.int64)[: true.shape[1]]
     counters = new_counters(NUMBER_COUNTERS)
     means = np.empty_like(true)
-    for channel, step in enumerate(quantiser.steps.tolist()):
+    for channel, step in enumerate(quantizer.steps.tolist()):
         fine = max(1, isqrt(step * step // weight))
         value = coder.signed(round((int(true[0, channel]) - int(guess[channel])) / fine), counters)
         means[0, channel] = min(max(int(guess[channel]) + value * fine, -MAX_VALUE), MAX_VALUE)

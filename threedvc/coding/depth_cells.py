@@ -23,7 +23,7 @@ USUAL_CELLS = 1 << 17
 
 
 def spread(picture: DepthPicture, model: DecodedModel, camera: Camera, T_camera_object: Pose) -> None:
-    """Give an object without cells those that a depth picture shows, without colours.
+    """Give an object without cells those that a depth picture shows, without colors.
 
     Parameters
     ----------

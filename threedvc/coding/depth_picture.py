@@ -31,7 +31,7 @@ MAX_SPACING = 64
 """Pixels between samples, at most: ten samples along a row of 640 pixels. As the next three, it is part of the
 format."""
 MAX_SCALE_BITS = 40
-"""With it the largest sample stands for a distance of a thousand kilometres."""
+"""With it the largest sample stands for a distance of a thousand kilometers."""
 MAX_LEVELS = 10
 """Halvings of a grid, at most: one of 1024 samples is one sample then."""
 MAX_HALVINGS = 8
@@ -45,7 +45,7 @@ class DepthPicture:
     Attributes
     ----------
     samples
-        (rows, columns) int64, in units of 2^-scale_bits per metre, within 0..`MAX_SAMPLE`; 0 = nothing there. Sample
+        (rows, columns) int64, in units of 2^-scale_bits per meter, within 0..`MAX_SAMPLE`; 0 = nothing there. Sample
         (i, j) stands at the pixel of row ``spacing * i`` and column ``spacing * j``.
     spacing
         Pixels between samples.
@@ -65,7 +65,7 @@ class DepthSteps:
     Attributes
     ----------
     step
-        Quantisation step of the finest level, in units of the samples.
+        Quantization step of the finest level, in units of the samples.
     levels
         Number of halvings of the grid above the coarsest one.
     halvings

@@ -16,8 +16,8 @@ MAX_FACTOR = 127
 """Of 64: twice the difference to the pixels around, which no filter that mends a picture needs. Part of the format."""
 
 
-def encode_filter(filters: PostFilter, grey: bool) -> bytes:
-    """Return the payload of a filter; grey streams have that of luma alone.
+def encode_filter(filters: PostFilter, gray: bool) -> bytes:
+    """Return the payload of a filter; gray streams have that of luma alone.
 
     Raises
     ------
@@ -27,11 +27,11 @@ def encode_filter(filters: PostFilter, grey: bool) -> bytes:
     if max(int(np.abs(filters.luma).max()), int(np.abs(filters.chroma).max())) > MAX_FACTOR:
         raise ValueError(f"factors of a filter must be within +-{MAX_FACTOR}")
     writer = RangeWriter()
-    _code(writer, filters, grey)
+    _code(writer, filters, gray)
     return writer.finish()
 
 
-def decode_filter(payload: bytes, grey: bool) -> PostFilter:
+def decode_filter(payload: bytes, gray: bool) -> PostFilter:
     """Return the filter of a payload.
 
     Raises
@@ -40,12 +40,12 @@ def decode_filter(payload: bytes, grey: bool) -> PostFilter:
         If the payload does not hold one.
     """
     reader = RangeReader(payload)
-    filters = _code(reader, PostFilter.none(), grey)
+    filters = _code(reader, PostFilter.none(), gray)
     reader.finish()
     return filters
 
 
-def _code(coder: RangeCoder, filters: PostFilter, grey: bool) -> PostFilter:
+def _code(coder: RangeCoder, filters: PostFilter, gray: bool) -> PostFilter:
     """Code for every class of pixels if it has a filter, then its factors: of luma, and of chroma against those."""
     luma, chroma = (np.zeros((PIXEL_CLASSES, PAIRS), dtype=np.int32) for _ in range(2))
     counters = [new_counters(NUMBER_COUNTERS) for _ in range(2)]
@@ -55,7 +55,7 @@ def _code(coder: RangeCoder, filters: PostFilter, grey: bool) -> PostFilter:
         for pair in range(PAIRS):
             given = int(filters.luma[pixel_class, pair]), int(filters.chroma[pixel_class, pair])
             of_luma = coder.signed(given[0], counters[0])
-            of_chroma = of_luma + (0 if grey else coder.signed(given[1] - given[0], counters[1]))
+            of_chroma = of_luma + (0 if gray else coder.signed(given[1] - given[0], counters[1]))
             coder.check()
             if max(abs(of_luma), abs(of_chroma)) > MAX_FACTOR:
                 raise CorruptStream("the factors of a filter are out of range; the stream is damaged")

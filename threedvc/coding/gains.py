@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Coding of the colour camera's gains: exposure and white balance of every frame against those of the models."""
+"""Coding of the color camera's gains: exposure and white balance of every frame against those of the models."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWr
 from threedvc.errors import CorruptStream
 from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 
-__all__ = ["NEUTRAL", "GainCoder", "apply_gain", "quantised_gain"]
+__all__ = ["NEUTRAL", "GainCoder", "apply_gain", "quantized_gain"]
 
 GAIN_UNIT = 1 / 128
 """At the ends of the range a step is one level. All numbers here are part of the format (docs/coding.md)."""
@@ -23,12 +23,12 @@ MAX_GAIN = round(8 / GAIN_UNIT)
 MAX_LIFT = round(512 / LIFT_UNIT)
 """Twice the range of a channel."""
 NEUTRAL = np.array([[round(1 / GAIN_UNIT), 0]] * 3, dtype=np.int64)
-"""(3, 2): per channel the gain about middle grey in 1/128, and the lift in half levels."""
+"""(3, 2): per channel the gain about middle gray in 1/128, and the lift in half levels."""
 CHANGE_COUNTERS = 6
 """Sets of counters: of factor and lift, each of green, red and blue."""
 
 
-def quantised_gain(gain: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.int64]:
+def quantized_gain(gain: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the nearest (3, 2) units of ``color * gain + offset``, each (3,)."""
     lift = offset + PIVOT * (gain - 1)
     units = np.stack([np.rint(gain / GAIN_UNIT), np.rint(lift / LIFT_UNIT)], axis=1).astype(np.int64)
@@ -48,12 +48,12 @@ class GainCoder:
 
     Parameters
     ----------
-    grey
+    gray
         Whether the three channels are one.
     """
 
-    def __init__(self, grey: bool) -> None:
-        self._grey = grey
+    def __init__(self, gray: bool) -> None:
+        self._gray = gray
         self.last = NEUTRAL.copy()
         self._counters = [new_counters(NUMBER_COUNTERS) for _ in range(CHANGE_COUNTERS)]
 
@@ -89,7 +89,7 @@ class GainCoder:
         for kind in range(2):
             green = coder.signed(int(change[1, kind]), self._counters[kind])
             decoded[:, kind] = green
-            if not self._grey:
+            if not self._gray:
                 for channel in (0, 2):
                     counters = self._counters[2 + 2 * (channel // 2) + kind]
                     decoded[channel, kind] = green + coder.signed(int(change[channel, kind]) - green, counters)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Still pictures as AVIF of one grey plane, whose decoding is exact everywhere.
+"""Still pictures as AVIF of one gray plane, whose decoding is exact everywhere.
 
-Luma stands above the two chroma planes of half its size, side by side; the colour transform is ours and in
+Luma stands above the two chroma planes of half its size, side by side; the color transform is ours and in
 integers. Chroma is magnified, as an error of its samples shows in four pixels each. What is the same in every AVIF
 file of this kind is left out.
 """
@@ -59,7 +59,7 @@ def can_decode_pictures() -> bool:
     return bool(cv2.haveImageWriter(".avif"))
 
 
-def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool, *, thorough: bool = True) -> bytes:
+def encode_picture(picture: NDArray[np.uint8], quality: int, gray: bool, *, thorough: bool = True) -> bytes:
     """Return the payload of a picture.
 
     Parameters
@@ -68,20 +68,20 @@ def encode_picture(picture: NDArray[np.uint8], quality: int, grey: bool, *, thor
         (h, w, 3) uint8 RGB.
     quality
         1 to 100, as AVIF encoders take it.
-    grey
+    gray
         Whether to code the luma alone.
     thorough
         Whether to take several times as long for about 3 % fewer bytes.
     """
-    magnified = _magnification(picture, grey)
-    planes = _planes(picture, grey, magnified)
+    magnified = _magnification(picture, gray)
+    planes = _planes(picture, gray, magnified)
     file = avif_file(planes[None], quality, THOROUGH_SPEED if thorough else QUICK_SPEED, LEAST_SQUARES)
     payload = _stripped(file, planes.shape[1], planes.shape[0])
     return bytes([payload[0] | magnified << 1]) + payload[1:]
 
 
 def avif_file(planes: NDArray[np.uint8], quality: int, speed: int, settings: dict[str, str]) -> bytes:
-    """Return the AVIF file of grey planes (n, h, w) uint8; several become the frames of an animation.
+    """Return the AVIF file of gray planes (n, h, w) uint8; several become the frames of an animation.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def avif_file(planes: NDArray[np.uint8], quality: int, speed: int, settings: dic
     return file.getvalue()
 
 
-def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArray[np.uint8]:
+def decode_picture(payload: bytes, width: int, height: int, gray: bool) -> NDArray[np.uint8]:
     """Return the picture (height, width, 3) uint8 RGB of a payload.
 
     Raises
@@ -123,8 +123,8 @@ def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArr
     UnsupportedVersion
         If this build of OpenCV cannot decode it.
     """
-    rows = height if grey else height + -(-height // 2)
-    columns = width if grey else 2 * -(-width // 2)
+    rows = height if gray else height + -(-height // 2)
+    columns = width if gray else 2 * -(-width // 2)
     if not payload or payload[0] >> 1 > MAX_MAGNIFIED:
         raise CorruptStream("a picture is of an unknown make; the stream is damaged")
     magnified, data = payload[0] >> 1, _completed(bytes([payload[0] & 1]) + payload[1:], columns, rows)
@@ -135,12 +135,12 @@ def decode_picture(payload: bytes, width: int, height: int, grey: bool) -> NDArr
     planes = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if planes is None or planes.shape != (rows, columns) or planes.dtype != np.uint8:
         raise CorruptStream(f"a picture of {width}x{height} pixels cannot be decoded; the stream is damaged")
-    return _picture(np.asarray(planes, dtype=np.uint8), width, height, grey, magnified)
+    return _picture(np.asarray(planes, dtype=np.uint8), width, height, gray, magnified)
 
 
-def _magnification(picture: NDArray[np.uint8], grey: bool) -> int:
+def _magnification(picture: NDArray[np.uint8], gray: bool) -> int:
     """Return the greatest magnification of chroma that does not clip it."""
-    if grey:
+    if gray:
         return 0
     largest = int(np.abs(_chroma(picture)).max(initial=0))
     return next(m for m in range(MAX_MAGNIFIED, -1, -1) if m == 0 or largest * (4 + m) <= 127 * 8)
@@ -152,11 +152,11 @@ def _chroma(picture: NDArray[np.uint8]) -> NDArray[np.int32]:
     return np.stack([red - blue, (2 * green - red - blue) >> 1])
 
 
-def _planes(picture: NDArray[np.uint8], grey: bool, magnified: int = 0) -> NDArray[np.uint8]:
+def _planes(picture: NDArray[np.uint8], gray: bool, magnified: int = 0) -> NDArray[np.uint8]:
     values = picture.astype(np.int32)
     red, green, blue = values[..., 0], values[..., 1], values[..., 2]
     luma = (red + 2 * green + blue + 2) >> 2
-    if grey:
+    if gray:
         return luma.astype(np.uint8)
     height, width = luma.shape
     even = ((0, height % 2), (0, width % 2))
@@ -169,10 +169,10 @@ def _planes(picture: NDArray[np.uint8], grey: bool, magnified: int = 0) -> NDArr
     return np.vstack([luma, np.hstack(chroma)]).astype(np.uint8)
 
 
-def _picture(planes: NDArray[np.uint8], width: int, height: int, grey: bool, magnified: int = 0) -> NDArray[np.uint8]:
+def _picture(planes: NDArray[np.uint8], width: int, height: int, gray: bool, magnified: int = 0) -> NDArray[np.uint8]:
     values = planes.astype(np.int32)
     luma = values[:height, :width]
-    if grey:
+    if gray:
         return np.repeat(luma[..., None], 3, axis=2).astype(np.uint8)
     half = values.shape[1] // 2
     doubled = (_doubled(values[height:, k * half : (k + 1) * half] - 128)[:height, :width] for k in (0, 1))

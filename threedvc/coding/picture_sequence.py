@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs of grey pictures as AV1 video, whose decoding is exact everywhere.
+"""Runs of gray pictures as AV1 video, whose decoding is exact everywhere.
 
 A payload holds the frames alone: where each one is shown follows from its first bits, and what an AVIF file says
 around them from their number and size. No size but that of the run can stand in it.
@@ -50,7 +50,7 @@ MATRIX = struct.pack(">9I", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
 UNDETERMINED = 0x55C4 << 16
 """The language."""
 FULL_RANGE = b"nclx" + struct.pack(">HHHB", 2, 2, 2, 0x80)
-"""Colours of no particular kind, in full range."""
+"""Colors of no particular kind, in full range."""
 
 
 @cache

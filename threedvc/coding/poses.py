@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Coding of poses: predicted with constant velocity, quantised in a closed loop, entropy coded."""
+"""Coding of poses: predicted with constant velocity, quantized in a closed loop, entropy coded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from threedvc.kernels.coding.pose_coding import POSE_COUNTERS, RECENT_SIZE, code
 __all__ = ["PoseCoder"]
 
 MAX_TRANSLATION_M = 1e6
-"""A pose further away is damage: a thousand kilometres."""
+"""A pose further away is damage: a thousand kilometers."""
 BYTES_PER_FRAME = 320
 """Room for one: the costliest takes 288, of six numbers of 30 bits."""
 
@@ -27,7 +27,7 @@ class PoseCoder:
     Parameters
     ----------
     translation_step_m, rotation_step_rad
-        Quantisation steps. A decoded pose is within half a step of the given one on every axis.
+        Quantization steps. A decoded pose is within half a step of the given one on every axis.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ def encode_relief(model: DecodedModel, subvoxel_offsets: NDArray[np.float32]) ->
     model
         The object as the decoder has it; changed.
     crossings
-        (n, 3) where the surface passes along each axis from the centres of its untold cells, in cells, see
+        (n, 3) where the surface passes along each axis from the centers of its untold cells, in cells, see
         `DecodedModel.cells_without_offset`; at least one.
 
     Returns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Payload of a texture: colours of the texels of cells whose own colours are known."""
+"""Payload of a texture: colors of the texels of cells whose own colors are known."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["decode_texture", "encode_texture"]
 def encode_texture(
     model: DecodedModel, texels: NDArray[np.int32], colors: NDArray[np.int16], settings: ColorSettings
 ) -> tuple[bytes, NDArray[np.int16]]:
-    """Encode the colours of texels.
+    """Encode the colors of texels.
 
     Parameters
     ----------
@@ -31,14 +31,14 @@ def encode_texture(
     colors
         (n, 3) int16 RGB.
     settings
-        How finely colours are coded.
+        How finely colors are coded.
 
     Returns
     -------
     payload
         Bytes for `decode_texture`.
     decoded
-        (n, 3) int16 colours as the decoder will see them.
+        (n, 3) int16 colors as the decoder will see them.
     """
     writer = RangeWriter()
     decoded = _code(writer, model, texels, colors, settings)
@@ -46,7 +46,7 @@ def encode_texture(
 
 
 def decode_texture(payload: bytes, model: DecodedModel, texels: NDArray[np.int32]) -> NDArray[np.int16]:
-    """Return the colours (n, 3) of texels (n, 3); see `encode_texture`.
+    """Return the colors (n, 3) of texels (n, 3); see `encode_texture`.
 
     Raises
     ------

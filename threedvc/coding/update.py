@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Payload of a model update: cells that appear, vanish or change colour, against the state before."""
+"""Payload of a model update: cells that appear, vanish or change color, against the state before."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def encode_update_with_result(
     cells, colors
         (n, 3) int32 occupied cells before the update in Morton order, and their (n, 3) int16 RGB.
     settings
-        How finely colours are coded.
+        How finely colors are coded.
 
     Returns
     -------
     payload
         Bytes for `decode_update`.
     decoded
-        The update as the decoder will see it: the same cells, quantised colours.
+        The update as the decoder will see it: the same cells, quantized colors.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _code_update(
     removed = code_subset(coder, wanted(given.removed), state, side) if has_removed else NO_CODES
     remaining = Octree(np.setdiff1d(state_codes, removed, assume_unique=True), cube.depth)
     if has_recolored and not len(remaining.codes):
-        raise CorruptStream("a model update removes every cell and recolours some; the stream is damaged")
+        raise CorruptStream("a model update removes every cell and recolors some; the stream is damaged")
     recolored = code_subset(coder, wanted(given.recolored), remaining, side) if has_recolored else NO_CODES
     colored = Octree(np.sort(np.concatenate([added, recolored])), cube.depth)
     decoded = np.empty((0, 3), dtype=np.int16)
@@ -174,7 +174,7 @@ def _sorted_codes(
 def _in_order(
     codes: NDArray[np.int64], cube: Cube, colors: NDArray[np.int16] = NO_COLORS
 ) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
-    """Return cells and colours in Morton order."""
+    """Return cells and colors in Morton order."""
     cells = cells_of_codes(codes, cube.origin)
     order = morton_order(cells)
     return cells[order], colors[order] if len(colors) else colors

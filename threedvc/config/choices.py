@@ -40,7 +40,7 @@ class DepthVideo(StrEnum):
 class DepthErrorKind(StrEnum):
     """How far decoded depth may lie from what was measured.
 
-    MODEL: as far as the models, or a video, do. ABSOLUTE: some metres. RELATIVE: a share of the depth. LEVEL: to the
+    MODEL: as far as the models, or a video, do. ABSOLUTE: some meters. RELATIVE: a share of the depth. LEVEL: to the
     next depth that the sensor tells at all. LOSSLESS: not at all.
     """
 
@@ -52,7 +52,7 @@ class DepthErrorKind(StrEnum):
 
 
 class ColorVideo(StrEnum):
-    """Whether a file carries a video of the colour pictures in place of the models' colours.
+    """Whether a file carries a video of the color pictures in place of the models' colors.
 
     AUTO: if the frames look better so at as many bytes. A live stream cannot have one.
     """
@@ -75,8 +75,8 @@ class Sensor(StrEnum):
 class Preset(StrEnum):
     """How much work an encoder does.
 
-    LIVE sends each group of frames as soon as it is fused. FAST fuses every frame first and fits colours to the drawn
-    pictures. MEDIUM also calibrates the colour camera and refines all poses. SLOW goes on with that for longer.
+    LIVE sends each group of frames as soon as it is fused. FAST fuses every frame first and fits colors to the drawn
+    pictures. MEDIUM also calibrates the color camera and refines all poses. SLOW goes on with that for longer.
     """
 
     LIVE = "live"

@@ -22,11 +22,11 @@ class RenderConfig:
     Attributes
     ----------
     supersample
-        Rays per pixel side for colour, or None for 2 on small pictures and 1 on large ones.
+        Rays per pixel side for color, or None for 2 on small pictures and 1 on large ones.
     filter_parts
         Where the stream's filter of pictures is applied.
     captured_depth, captured_color
-        Whether depth and colour as they were captured stand for those of the models, where the stream has a video.
+        Whether depth and color as they were captured stand for those of the models, where the stream has a video.
     threads
         Number of threads; pictures do not depend on it.
     """

@@ -22,7 +22,7 @@ from threedvc.parallel import default_threads
 __all__ = ["EncoderConfig"]
 
 MIN_VOXEL_SIZE_M = 0.0005
-"""Half a millimetre: depth pictures in millimetres tell no more."""
+"""Half a millimeter: depth pictures in millimeters tell no more."""
 MAX_VOXEL_SIZE_M = 1.0
 """More is a slip of the unit: of a room few cells would be left."""
 MIN_BPS = 500
@@ -46,7 +46,7 @@ class EncoderConfig:
     other_sensors
         Those of the second sensor and further ones, where there are several; empty: all are as `sensor` says.
     focus
-        Where errors of colours count more; all that a place lies in are multiplied.
+        Where errors of colors count more; all that a place lies in are multiplied.
     cell_factor
         By how much wider cells are than the object's distance suggests, 1 at the middle quality; of no meaning with
         `voxel_size_m`.
@@ -56,7 +56,7 @@ class EncoderConfig:
     live_buffer_s
         How many seconds' worth of bits a live stream may send at once: as much as a viewer waits for at the start.
     refine
-        Calibrate the colour camera and register all frames again once the model is finished; needs
+        Calibrate the color camera and register all frames again once the model is finished; needs
         frames that can be read more than once.
     depth_video
         See `DepthVideo`.
@@ -112,13 +112,13 @@ class EncoderConfig:
         if self.causal and self.depth_video is DepthVideo.ON:
             raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
         if self.causal and self.color_video is ColorVideo.ON:
-            raise ConfigError("a live stream cannot have a colour video; leave out --color-video on or --preset live")
+            raise ConfigError("a live stream cannot have a color video; leave out --color-video on or --preset live")
         if self.causal and self.depth_error.kind is not DepthErrorKind.MODEL:
             raise ConfigError(
                 "a live stream cannot hold depth within a bound; leave out --depth-error or --preset live"
             )
         if self.video.lossless and self.color_video is not ColorVideo.ON:
-            raise ConfigError("colours without loss are a video; give --color-video on")
+            raise ConfigError("colors without loss are a video; give --color-video on")
         if self.video.lossless and self.bitrate_bps is not None:
             raise ConfigError("a lossless video takes the bytes it needs; leave out the rate")
         if self.batch_frames is not None and self.batch_frames < 1:

@@ -25,21 +25,21 @@ __all__ = ["with_lossless", "with_preset", "with_quality", "with_step"]
 MIDDLE_QUALITY = 50
 """The default, in the middle of 1 to 100."""
 QUALITY_PER_STEP = 16
-"""More halve the steps of colours (decision 0010): about three halvings to either side of the middle."""
+"""More halve the steps of colors (decision 0010): about three halvings to either side of the middle."""
 QUALITY_PER_CELL = 50
 """More halve the edge of cells (decision 0010): once to either side, as it makes four times as many."""
 COARSENESS_PER_QUALITY = 1.1
 """By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32 to the coarsest."""
 VIDEO_QUALITY = 32
-"""The least with a colour video, the coarsest there is; below are models in their own colours, at the rates of the
+"""The least with a color video, the coarsest there is; below are models in their own colors, at the rates of the
 paper."""
 
 
 def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
     """Return the choices for a quality of 1 to 100; 50 is the default.
 
-    Sixteen more halve the quantisation steps of colours, fifty more the edge of a cell. Below `VIDEO_QUALITY` there is
-    no colour video unless it is asked for.
+    Sixteen more halve the quantization steps of colors, fifty more the edge of a cell. Below `VIDEO_QUALITY` there is
+    no color video unless it is asked for.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def _coarseness(quality: int) -> float:
 
 
 def with_lossless(config: EncoderConfig) -> EncoderConfig:
-    """Return the choices by which every colour and depth comes back exactly."""
+    """Return the choices by which every color and depth comes back exactly."""
     return replace(
         config,
         color_video=ColorVideo.ON,
@@ -76,7 +76,7 @@ def with_lossless(config: EncoderConfig) -> EncoderConfig:
 
 
 def with_step(luma_step: float) -> ColorConfig:
-    """Return colour steps in their usual relation."""
+    """Return color steps in their usual relation."""
     return ColorConfig(luma_step=min(luma_step, MAX_STEP), chroma_step=min(CHROMA_STEP * luma_step, MAX_STEP))
 
 

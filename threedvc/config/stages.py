@@ -21,21 +21,21 @@ __all__ = [
 ]
 
 MIN_STEP, MAX_STEP = 0.5, 255.0
-"""Grey levels: half of one, which rounding hides, and the largest that a stream can tell (4080 sixteenths)."""
+"""Gray levels: half of one, which rounding hides, and the largest that a stream can tell (4080 sixteenths)."""
 MAX_FOCUS = 100.0
 """Steps are divided by its root: ten times as fine as the default is about a level."""
 MAX_DEPTH_ERROR_M, MAX_DEPTH_ERROR = 1.0, 0.5
-"""Metres, and a share of the depth: with more nothing is left of it."""
+"""Meters, and a share of the depth: with more nothing is left of it."""
 MAX_OBJECT = 255
 """Largest label of an 8-bit mask."""
 LUMA_STEP = 12.0
-"""Grey levels, at the middle quality; by taste: finer steps take bytes for noise."""
+"""Gray levels, at the middle quality; by taste: finer steps take bytes for noise."""
 CHROMA_STEP = 1.75
 """Times the step of luma; by taste: the eye sees chroma less sharply."""
 ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
 """Of alignment, by preset. Measured on the kitchen (decision 0008): three give 0.5 dB, further ones 0.1 dB each."""
 MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 76.0, 56.0
-"""Coarseness of a video: the finest quantisation of AV1, the coarsest with pictures of half the size, and that of the
+"""Coarseness of a video: the finest quantization of AV1, the coarsest with pictures of half the size, and that of the
 middle quality, at which recordings of hand-held cameras have 33 dB and more."""
 VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
 """Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 takes 2.5 times as long for 7 % fewer
@@ -67,7 +67,7 @@ class SegmentationConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class FusionConfig:
-    """Bayesian integration of depth and colour.
+    """Bayesian integration of depth and color.
 
     Attributes
     ----------
@@ -88,29 +88,27 @@ class FusionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ColorConfig:
-    """Colour coding: quantisation steps in grey levels for luma and chroma; those of the middle quality unless told."""
+    """Color coding: quantization steps in gray levels for luma and chroma; those of the middle quality unless told."""
 
     luma_step: float = LUMA_STEP
     chroma_step: float = CHROMA_STEP * LUMA_STEP
 
     def __post_init__(self) -> None:
         if not (MIN_STEP <= self.luma_step <= MAX_STEP and MIN_STEP <= self.chroma_step <= MAX_STEP):
-            raise ConfigError(
-                f"colour steps {self.luma_step}, {self.chroma_step} must be within {MIN_STEP}..{MAX_STEP}"
-            )
+            raise ConfigError(f"color steps {self.luma_step}, {self.chroma_step} must be within {MIN_STEP}..{MAX_STEP}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class AppearanceConfig:
-    """Fit of colours, gains and poses to the pictures that the decoder draws; files only.
+    """Fit of colors, gains and poses to the pictures that the decoder draws; files only.
 
     Attributes
     ----------
     rounds
-        How often poses are aligned with the fitted colours, as the preset ``medium`` does it; 0 fits colours and gains
+        How often poses are aligned with the fitted colors, as the preset ``medium`` does it; 0 fits colors and gains
         alone.
     texture_scale
-        Colours along an edge of a cell: 1, 2 or 4. More than one is no better at equal bytes than smaller cells
+        Colors along an edge of a cell: 1, 2 or 4. More than one is no better at equal bytes than smaller cells
         (decision 0008).
     relief_bits
         Binary logarithm of the places in a cell that the surface may pass, 0 to 3; None: 1 where that is cheap, else 0.
@@ -138,7 +136,7 @@ class DepthErrorConfig:
     kind
         See `DepthErrorKind`.
     size
-        Metres, or a share of the depth; of no meaning for the others.
+        Meters, or a share of the depth; of no meaning for the others.
     """
 
     kind: DepthErrorKind = DepthErrorKind.MODEL
@@ -152,7 +150,7 @@ class DepthErrorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RegionOfInterest:
-    """Where squared errors of colours count more than elsewhere, or less: an object or a part of the background.
+    """Where squared errors of colors count more than elsewhere, or less: an object or a part of the background.
 
     Attributes
     ----------
@@ -161,7 +159,7 @@ class RegionOfInterest:
     number
         The object, or None.
     box_m
-        ``x0, x1, y0, y1, z0, z1``, bounds in metres in the background's frame, or None.
+        ``x0, x1, y0, y1, z0, z1``, bounds in meters in the background's frame, or None.
     """
 
     weight: float
@@ -182,7 +180,7 @@ class RegionOfInterest:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig:
-    """Pose coding: quantisation steps; None: about a third of a pixel."""
+    """Pose coding: quantization steps; None: about a third of a pixel."""
 
     translation_step_m: float | None = None
     rotation_step_rad: float | None = None
@@ -194,12 +192,12 @@ class PoseConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class VideoConfig:
-    """Coding of a colour video.
+    """Coding of a color video.
 
     Attributes
     ----------
     coarseness
-        From 1, the finest, to 76 in quarters: quantisation of AV1 (its CRF), the last of them with smaller pictures;
+        From 1, the finest, to 76 in quarters: quantization of AV1 (its CRF), the last of them with smaller pictures;
         about seven more halve the bytes. Of no meaning with a rate.
     preset
         Work of the encoder, the most at 0.

@@ -117,7 +117,7 @@ def lay_out(header: BatchHeader, members: Sequence[Member], state: DecoderState)
     firsts = []
     for frame, slot in zip(span, _slots(span, cycles, state), strict=True):
         own[slot.sensor].append(frame)
-        if not slot.synchronised or not frame:
+        if not slot.synchronized or not frame:
             firsts.append(frame)
     sensor_runs = [FrameRun(sensor.frames, frames) for sensor, frames in zip(state.sensors, own, strict=True)]
     return BatchTimeline(span, cycles, sensor_runs, FrameRun(state.frame_set_count, firsts), state.run_ends)

@@ -33,7 +33,7 @@ class Decoder:
     Parameters
     ----------
     captured_depth, captured_color
-        Whether depth and colour as captured are wanted; they need AVIF, and AV1 or FFV1.
+        Whether depth and color as captured are wanted; they need AVIF, and AV1 or FFV1.
     threads
         On how many measured depth is decoded.
 
@@ -77,7 +77,7 @@ class Decoder:
 
     @property
     def unread_codec(self) -> int | None:
-        """The number of the codec of a colour video that was wanted and cannot be decoded here; else None."""
+        """The number of the codec of a color video that was wanted and cannot be decoded here; else None."""
         return None if self._state is None else self._state.unread_codec
 
     @property

@@ -27,7 +27,7 @@ __all__ = ["DecoderState", "ObjectState", "WantedVideos"]
 
 
 class WantedVideos(NamedTuple):
-    """Whether depth and colour as captured are wanted, and on how many threads they are decoded."""
+    """Whether depth and color as captured are wanted, and on how many threads they are decoded."""
 
     depth: bool
     color: bool
@@ -79,7 +79,7 @@ class DecoderState:
     frame_count, frame_set_count
         How many frames the stream has conveyed so far, and at how many moments these were taken.
     unread_codec
-        Number of the codec of a colour video that was wanted and cannot be decoded here, or None.
+        Number of the codec of a color video that was wanted and cannot be decoded here, or None.
     run_ends
         Number of the frame, or moment, after the last one that a run of packets has conveyed, by name of run.
     """
@@ -153,11 +153,11 @@ class DecoderState:
         self.objects[number].light = factors
 
     def set_backdrop(self, picture: NDArray[np.uint8]) -> None:
-        """Colour the background with a picture (h, w, 3), seen from where the camera of the next frame stands."""
+        """Color the background with a picture (h, w, 3), seen from where the camera of the next frame stands."""
         self._new_background_image = picture
 
     def set_filters(self, filters: PostFilter) -> None:
-        """Set the filter of colour pictures, from the next frame on."""
+        """Set the filter of color pictures, from the next frame on."""
         self._filters = filters
 
     def set_cycle(self, frame: int, cycle: Cycle) -> None:
@@ -168,9 +168,9 @@ class DecoderState:
         """Return where everything is in the next frame, which is then conveyed."""
         frame, T_rig_world = self.frame_count, self._pose_of_rig()
         slot = self.schedule.at(frame)
-        sensor, synchronised = self.sensors[slot.sensor], slot.synchronised and frame > 0
+        sensor, synchronized = self.sensors[slot.sensor], slot.synchronized and frame > 0
         timestamp, number = sensor.take_time_ns(), sensor.frames
-        self._count_frame(sensor, synchronised)
+        self._count_frame(sensor, synchronized)
         offset = self.notes.of(ColorTimes).take_offset_ns(frame)
         poses = camera_poses({number: item.pose for number, item in self.objects.items()})
         T_world_camera = inverse(sensor.rig.at_sensor(T_rig_world))
@@ -180,7 +180,7 @@ class DecoderState:
             color_timestamp_ns=timestamp + offset if offset else None,
             sensor=slot.sensor,
             number=number,
-            synchronised=synchronised,
+            synchronized=synchronized,
             T_world_camera=T_world_camera,
             T_camera_object={number: sensor.rig.at_sensor(pose) for number, pose in poses.items()},
             T_shifted_camera=sensor.shift,
@@ -195,13 +195,13 @@ class DecoderState:
     def _pose_of_rig(self) -> Pose:
         return self.objects[0].pose if 0 in self.objects else identity()
 
-    def _count_frame(self, sensor: SensorState, synchronised: bool) -> None:
+    def _count_frame(self, sensor: SensorState, synchronized: bool) -> None:
         sensor.frames += 1
         self.frame_count += 1
-        self.frame_set_count += not synchronised
+        self.frame_set_count += not synchronized
 
     def _placed_backdrop(self, T_rig_world: Pose) -> BackgroundImage | None:
-        """Return the backdrop; a new one is seen from the colour camera of the first sensor."""
+        """Return the backdrop; a new one is seen from the color camera of the first sensor."""
         if self._new_background_image is not None:
             first = self.sensors[0]
             T_color_rig = compose(first.rig.T_color_depth, first.shift)

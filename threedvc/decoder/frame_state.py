@@ -28,34 +28,34 @@ class FrameState:
     index, timestamp_ns
         Which frame.
     color_timestamp_ns
-        Time of its colour picture if that is another, else None.
+        Time of its color picture if that is another, else None.
     sensor, number
         The sensor that took it, and which of its own frames it is.
-    synchronised
+    synchronized
         Whether it was taken at the moment of the frame before, by another sensor.
     T_world_camera
         Pose of the sensor's depth camera.
     T_camera_object
         Pose of every object that has appeared, by number; 0 is the background.
     T_shifted_camera
-        Shift of the depth camera for the colour picture: ``p_color = T_color_depth @ T_shifted_camera @ p_depth``.
+        Shift of the depth camera for the color picture: ``p_color = T_color_depth @ T_shifted_camera @ p_depth``.
     gain
-        (3, 2) units of the colour camera's gain, see `threedvc.coding.gains`.
+        (3, 2) units of the color camera's gain, see `threedvc.coding.gains`.
     backdrop
-        What colours the background, or None.
+        What colors the background, or None.
     lights
         Light on objects, by number.
     filters
-        Filter of the colour picture as captured, or None.
+        Filter of the color picture as captured, or None.
     captured_depth, captured_color
-        Depth and colour that stand for the drawn ones in the frame as captured, or None.
+        Depth and color that stand for the drawn ones in the frame as captured, or None.
     """
 
     index: int
     timestamp_ns: int
     sensor: int
     number: int
-    synchronised: bool
+    synchronized: bool
     T_world_camera: Pose
     T_camera_object: Mapping[int, Pose]
     T_shifted_camera: Pose

@@ -26,14 +26,14 @@ class MeasuredDepth:
     raw
         (h, w) uint16 of the depth camera, 0 = not measured.
     depth_scale
-        Its units per metre.
+        Its units per meter.
     """
 
     raw: NDArray[np.uint16]
     depth_scale: float
 
     def shown(self, drawn: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
-        """Return the depth (h, w) in metres; pictures of another size keep what is drawn."""
+        """Return the depth (h, w) in meters; pictures of another size keep what is drawn."""
         if drawn.shape != self.raw.shape:
             return drawn
         return np.asarray(self.raw / np.float64(self.depth_scale), dtype=np.float32)
@@ -51,7 +51,7 @@ class MeasuredRun:
     camera
         The depth camera.
     depth_scale
-        Units per metre.
+        Units per meter.
     threads
         Number of threads.
     """

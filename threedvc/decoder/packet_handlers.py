@@ -234,13 +234,13 @@ def _captured_color(
 def _color_pictures(sensor: SensorState, header: ColorVideoHeader, payload: bytes) -> Iterator[ShownColor] | None:
     """Check a video, and return an iterator that decodes its pictures, or None if that cannot be done here."""
     video = VideoFormat(
-        width=header.columns, height=header.rows, bits=header.bits, magnified=header.magnified, grey=sensor.header.grey
+        width=header.columns, height=header.rows, bits=header.bits, magnified=header.magnified, gray=sensor.header.gray
     )
     if header.codec == VideoCodec.AV1 and can_decode_av1():
         return (CapturedColor(planes=planes, video=video) for planes in decode_av1(payload, header.count, video))
     if header.codec == VideoCodec.FFV1 and can_decode_ffv1():
         camera = sensor.rig.color
-        if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, grey=video.grey):
+        if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=video.gray):
             raise CorruptStream(
                 f"a video without loss of {video.width}x{video.height} samples of {video.bits} bits must have "
                 f"{camera.width}x{camera.height} of {EXACT_BITS} bits, which are not magnified; the stream is damaged"
@@ -276,13 +276,13 @@ def _backdrop(
 
 def _apply_backdrop(state: DecoderState, payload: bytes) -> None:
     camera = state.sensors[0].rig.color
-    state.set_backdrop(decode_picture(payload, camera.width, camera.height, state.header.grey))
+    state.set_backdrop(decode_picture(payload, camera.width, camera.height, state.header.gray))
 
 
 def _filters(
     state: DecoderState, timeline: BatchTimeline, header: FilterHeader, payload: bytes
 ) -> Iterator[FrameChange]:
-    yield header.frame, partial(state.set_filters, decode_filter(payload, state.header.grey))
+    yield header.frame, partial(state.set_filters, decode_filter(payload, state.header.gray))
 
 
 def _light(state: DecoderState, timeline: BatchTimeline, header: LightHeader, payload: bytes) -> Iterator[FrameChange]:

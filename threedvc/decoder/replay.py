@@ -61,7 +61,7 @@ class ReplayedFrame(NamedTuple):
     models: dict[int, RenderModel]
 
     def drawn(self, filters: PostFilter | None, *, color: bool = True) -> Picture:
-        """Draw the models from where the frame was taken, with a filter; without colour its rays are saved."""
+        """Draw the models from where the frame was taken, with a filter; without color its rays are saved."""
         state = self.state
         return self.renderer.draw(
             self.models,
@@ -75,7 +75,7 @@ class ReplayedFrame(NamedTuple):
         )
 
     def shown(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Return colour (h, w, 3) and depth (h, w) in metres as a viewer sees them: as captured, if they are there."""
+        """Return color (h, w, 3) and depth (h, w) in meters as a viewer sees them: as captured, if they are there."""
         state, threads = self.state, self.renderer.config.threads
         picture = self.drawn(state.filters, color=state.captured_color is None)
         color, depth = picture.color, picture.depth
@@ -95,7 +95,7 @@ def replay(
 ) -> Iterator[ReplayedFrame]:
     """Decode packets and yield the frames that are wanted, as a decoder will draw their models.
 
-    Videos are left out unless depth and colour `as_captured` are wanted.
+    Videos are left out unless depth and color `as_captured` are wanted.
     """
     decoder = Decoder(captured_depth=as_captured, captured_color=as_captured, threads=threads)
     drawable = DrawableModels(threads)

@@ -26,7 +26,7 @@ class SensorState:
     header
         Its description.
     shift_coder
-        Decodes where its depth camera stood when colour pictures were taken.
+        Decodes where its depth camera stood when color pictures were taken.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class SensorState:
     def __init__(self, header: StreamHeader | SensorHeader, shift_coder: PoseCoder) -> None:
         self.header, self.rig = header, rig_of(header)
         self.frames = 0
-        self.shift_coder, self.gain_coder = shift_coder, GainCoder(header.grey)
+        self.shift_coder, self.gain_coder = shift_coder, GainCoder(header.gray)
         self.shift, self.gain = identity(), NEUTRAL
         self._correction_ns = 0
         self._captured_depth: CapturedDepth | None = None
@@ -51,11 +51,11 @@ class SensorState:
         self._measured_run: MeasuredRun | None = None
 
     def set_shift(self, T_shifted_camera: Pose) -> None:
-        """Place the depth camera for colour pictures, from the next frame on."""
+        """Place the depth camera for color pictures, from the next frame on."""
         self.shift = T_shifted_camera
 
     def set_gain(self, gain: NDArray[np.int64]) -> None:
-        """Set the gain (3, 2) of the colour camera, from the next frame on."""
+        """Set the gain (3, 2) of the color camera, from the next frame on."""
         self.gain = gain
 
     def set_clock_correction(self, correction_ns: int) -> None:
@@ -67,7 +67,7 @@ class SensorState:
         self._captured_depth = depth
 
     def set_captured_color(self, color: ShownColor) -> None:
-        """Let a colour picture stand for the drawn one in the next frame alone."""
+        """Let a color picture stand for the drawn one in the next frame alone."""
         self._captured_color = color
 
     def begin_measured_run(self, run: MeasuredRun) -> None:
@@ -88,6 +88,6 @@ class SensorState:
         return measured or depth
 
     def take_captured_color(self) -> ShownColor | None:
-        """Return the colour of its next frame, if there is a video of it, which is then used up."""
+        """Return the color of its next frame, if there is a video of it, which is then used up."""
         color, self._captured_color = self._captured_color, None
         return color

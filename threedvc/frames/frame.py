@@ -28,17 +28,17 @@ class Frame:
     timestamp_ns
         Time of the depth picture, nanoseconds.
     color
-        (height, width, 3) uint8 RGB in the colour camera; grey input has three equal channels.
+        (height, width, 3) uint8 RGB in the color camera; gray input has three equal channels.
     depth
-        (height, width) float32 metres along z in the depth camera; 0 = no measurement.
+        (height, width) float32 meters along z in the depth camera; 0 = no measurement.
     mask
         (height, width) uint8 object labels in the depth camera, 0 = background, or None.
     T_world_camera
         Known pose of the depth camera, or None.
     T_camera_object
-        Known poses of labelled objects, by label.
+        Known poses of labeled objects, by label.
     color_timestamp_ns
-        Time of the colour picture where it has a clock of its own, else None.
+        Time of the color picture where it has a clock of its own, else None.
     sensor
         Which of several sensors took it, from 0.
     together
@@ -54,7 +54,7 @@ class Frame:
     T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
     color_timestamp_ns: int | None = None
     sensor: int = 0
-    synchronised: bool = False
+    synchronized: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,7 +67,7 @@ class SensorInfo:
         Name for messages and reports.
     rig
         Its cameras, and how they are mounted.
-    depth_scale, fps, grey, read_as
+    depth_scale, fps, gray, read_as
         As in `SequenceInfo`.
     """
 
@@ -75,7 +75,7 @@ class SensorInfo:
     rig: CameraRig
     depth_scale: float
     fps: float
-    grey: bool = False
+    gray: bool = False
     read_as: InputOptions = field(default_factory=dict)
 
 
@@ -90,13 +90,13 @@ class SequenceInfo:
     rig
         Cameras; those of the first sensor where there are several.
     depth_scale
-        Units per metre of the 16-bit depth pictures; decoded depth is written at this scale.
+        Units per meter of the 16-bit depth pictures; decoded depth is written at this scale.
     fps
         Nominal frame rate, of all sensors together.
     frame_count
         Number of frames, or None for a live source.
-    grey
-        Whether the colour pictures have one channel.
+    gray
+        Whether the color pictures have one channel.
     has_camera_poses, has_object_poses, has_masks
         What the frames carry.
     read_as
@@ -110,7 +110,7 @@ class SequenceInfo:
     depth_scale: float
     fps: float
     frame_count: int | None
-    grey: bool = False
+    gray: bool = False
     has_camera_poses: bool = False
     has_object_poses: bool = False
     has_masks: bool = False
@@ -119,7 +119,7 @@ class SequenceInfo:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.depth_scale) and self.depth_scale > 0):
-            raise ConfigError(f"depth scale {self.depth_scale} must be a positive number of units per metre")
+            raise ConfigError(f"depth scale {self.depth_scale} must be a positive number of units per meter")
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise ConfigError(f"frame rate {self.fps} must be a positive number of frames per second")
 
@@ -128,7 +128,7 @@ class SequenceInfo:
         """All sensors, also if there is but one."""
         if self.sensors:
             return self.sensors
-        names = ("name", "rig", "depth_scale", "fps", "grey", "read_as")
+        names = ("name", "rig", "depth_scale", "fps", "gray", "read_as")
         return (SensorInfo(**{name: getattr(self, name) for name in names}),)
 
     @property
@@ -155,7 +155,7 @@ def check_frame(frame: Frame, info: SequenceInfo) -> None:
         raise SequenceError(f"{place} is of sensor {frame.sensor}, but there are {len(info.rigs)}; number them from 0")
     rig = info.rigs[frame.sensor]
     for name, picture, channels, camera in (
-        ("colour", frame.color, (3,), rig.color),
+        ("color", frame.color, (3,), rig.color),
         ("depth", frame.depth, (), rig.depth),
     ):
         if picture.shape != (camera.height, camera.width, *channels):

@@ -32,7 +32,7 @@ class _Place:
     sensor: int
     number: int
     time_ns: int
-    synchronised: bool
+    synchronized: bool
 
 
 class PoseTimeline:
@@ -93,7 +93,7 @@ class MergedSequence:
         self._sequences, self._delays = list(sequences), [0, *delays_ns]
         rigs = [sequences[0].info.rig]
         for sequence, T in zip(sequences[1:], T_first_sensor, strict=True):
-            rigs.append(replace(sequence.info.rig, T_depth_base=inverse(T)))
+            rigs.append(replace(sequence.info.rig, T_depth_rig=inverse(T)))
         infos = [sequence.info for sequence in sequences]
         self._facts = [facts_of(sequence) for sequence in sequences]
         times = (
@@ -106,7 +106,7 @@ class MergedSequence:
             depth_scale=infos[0].depth_scale,
             fps=len(self._places) / max(len(sequence) / sequence.info.fps for sequence in sequences),
             frame_count=len(self._places),
-            grey=all(info.grey for info in infos),
+            gray=all(info.gray for info in infos),
             has_camera_poses=any(info.has_camera_poses for info in infos),
             has_object_poses=any(info.has_object_poses for info in infos),
             has_masks=any(info.has_masks for info in infos),
@@ -140,7 +140,7 @@ class MergedSequence:
         rig, delay = self._info.rigs[place.sensor], self._delays[place.sensor]
         T_world_camera, poses = frame.T_world_camera, dict[int, Pose]()
         if self._camera is not None:
-            T_world_camera = compose(self._camera.at(place.time_ns), inverse(rig.T_depth_base))
+            T_world_camera = compose(self._camera.at(place.time_ns), inverse(rig.T_depth_rig))
         for number, timeline in self._objects.items():
             poses[number] = rig.at_sensor(timeline.at(place.time_ns))
         color_time = frame.color_timestamp_ns
@@ -152,11 +152,11 @@ class MergedSequence:
             T_world_camera=T_world_camera,
             T_camera_object=poses,
             sensor=place.sensor,
-            synchronised=place.synchronised,
+            synchronized=place.synchronized,
         )
 
     def _courses(self) -> tuple[PoseTimeline | None, Mapping[int, PoseTimeline]]:
-        """Return the poses T_world_base and, by number, T_base_object; each of the first sensor that gives them."""
+        """Return the poses T_world_base and, by number, T_rig_object; each of the first sensor that gives them."""
         camera: PoseTimeline | None = None
         objects: dict[int, PoseTimeline] = {}
         for sensor, sequence in enumerate(self._sequences):
@@ -169,9 +169,9 @@ class MergedSequence:
             for one in self._facts[sensor]:
                 time = one.timestamp_ns + self._delays[sensor]
                 if gives and camera is not None and one.T_world_camera is not None:
-                    camera.add(time, compose(one.T_world_camera, rig.T_depth_base))
+                    camera.add(time, compose(one.T_world_camera, rig.T_depth_rig))
                 for label, pose in one.T_camera_object.items():
-                    own.setdefault(label, PoseTimeline()).add(time, rig.at_base(pose))
+                    own.setdefault(label, PoseTimeline()).add(time, rig.at_rig(pose))
             objects = own | objects
         return camera, objects
 
@@ -186,9 +186,9 @@ def _ordered(times_ns: Sequence[Sequence[int]]) -> list[_Place]:
     places: list[_Place] = []
     frame_set, there = 0, set[int]()
     for time, sensor, number in sorted(frames):
-        synchronised = bool(places) and time - frame_set <= TOGETHER_NS and sensor not in there
-        if not synchronised:
+        synchronized = bool(places) and time - frame_set <= TOGETHER_NS and sensor not in there
+        if not synchronized:
             frame_set, there = time, set()
         there.add(sensor)
-        places.append(_Place(sensor, number, times_ns[sensor][number], synchronised))
+        places.append(_Place(sensor, number, times_ns[sensor][number], synchronized))
     return places

@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from threedvc.config import Sensor
 from threedvc.errors import ConfigError
 
-__all__ = ["SENSORS", "SensorModel", "chosen_sensor", "guess_sensor", "within"]
+__all__ = ["SENSORS", "SensorModel", "chosen_sensor", "guess_sensor"]
 
 MAX_IDEAL_ROUGHNESS = 0.001
-"""Per metre: what rounding to millimetres leaves at 1 m; the disparity steps of a Kinect are three times as rough."""
+"""Per meter: what rounding to millimeters leaves at 1 m; the disparity steps of a Kinect are three times as rough."""
 MIN_SMOOTH_PIXELS = 100
 """Fewer do not tell a quantile."""
 WORST_SIGMA_M = 0.1
-"""What is known no better than to a decimetre is no basis for a model."""
+"""What is known no better than to a decimeter is no basis for a model."""
 MAX_REACH_M = 1000.0
 """Where the search for that depth ends: the noise of an ideal sensor never grows so far."""
 
@@ -45,9 +45,9 @@ class SensorModel:
     Parameters
     ----------
     s0_m, s1, s2_per_m
-        Axial deviation ``s0 + s1 z + s2 z^2`` in metres at depth z in metres.
+        Axial deviation ``s0 + s1 z + s2 z^2`` in meters at depth z in meters.
     quantum_per_m
-        Rounding step in metres at 1 m; it grows as z^2 (disparity sensors).
+        Rounding step in meters at 1 m; it grows as z^2 (disparity sensors).
     outlier
         Likelihood of an outlying reading, relative to the Gaussian's peak; a fiftieth by hand: with less, one wrong
         reading outweighs many right ones, with more surfaces are slow to be believed.
@@ -66,7 +66,7 @@ class SensorModel:
             )
 
     def sigma_m(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the axial deviations in metres at depths `z` in metres, of any shape."""
+        """Return the axial deviations in meters at depths `z` in meters, of any shape."""
         axial = self.s0_m + z * (self.s1 + z * self.s2_per_m)
         return np.asarray(np.sqrt(axial * axial + (self.quantum_per_m * z * z) ** 2 / 12), dtype=np.float64)
 
@@ -87,7 +87,7 @@ SENSORS = {
     Sensor.REALSENSE: SensorModel(s0_m=0.001, s2_per_m=0.0025, quantum_per_m=0.002, outlier=0.05),
     Sensor.LIDAR: SensorModel(s0_m=0.004, s1=0.002),
 }
-"""Ideal: the rounding to millimetres, 1 mm / sqrt(12). Kinect 1: 1.2 mm and steps of 2.9 mm at 1 m, which grow as z^2
+"""Ideal: the rounding to millimeters, 1 mm / sqrt(12). Kinect 1: 1.2 mm and steps of 2.9 mm at 1 m, which grow as z^2
 (an eighth of a pixel of disparity, see `threedvc.synthesis.noise`). RealSense: stereo too, noisier, with more outliers;
 lidar: mostly the same at every depth. These two are round values set by hand; decision 0027 compares all four."""
 
@@ -98,7 +98,7 @@ def guess_sensor(depth: NDArray[np.float32]) -> Sensor:
     Parameters
     ----------
     depth
-        (height, width) float32 metres, 0 = no measurement.
+        (height, width) float32 meters, 0 = no measurement.
 
     Returns
     -------
@@ -116,10 +116,5 @@ def guess_sensor(depth: NDArray[np.float32]) -> Sensor:
 
 
 def chosen_sensor(asked: Sensor, depth: NDArray[np.float32]) -> SensorModel:
-    """Return the model of the sensor asked for, or of the one that a depth map (h, w) in metres looks like."""
+    """Return the model of the sensor asked for, or of the one that a depth map (h, w) in meters looks like."""
     return SENSORS[guess_sensor(depth) if asked is Sensor.AUTO else asked]
-
-
-def within(depth: NDArray[np.float32], furthest_m: float) -> NDArray[np.float32]:
-    """Return a depth map (h, w) in metres without what is no number or further away."""
-    return np.where((depth > 0) & (depth <= furthest_m), depth, np.float32(0))

@@ -48,7 +48,7 @@ def frame_sets(frames: Iterable[Frame], info: SequenceInfo) -> Iterator[list[Fra
         return
     frame_set: list[Frame] = []
     for frame in frames:
-        if frame_set and not frame.synchronised:
+        if frame_set and not frame.synchronized:
             yield frame_set
             frame_set = []
         frame_set.append(frame)
@@ -85,7 +85,7 @@ class FrameFacts(Protocol):
 
     @property
     def T_camera_object(self) -> Mapping[int, Pose]:
-        """Known poses of labelled objects."""
+        """Known poses of labeled objects."""
         ...
 
 
@@ -130,7 +130,7 @@ class DownsampledSequence:
 
     def __getitem__(self, index: int) -> Frame:
         frame = self._frames[index * self._step]
-        return replace(frame, index=index, synchronised=frame.synchronised and self._step == 1)
+        return replace(frame, index=index, synchronized=frame.synchronized and self._step == 1)
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[index] for index in range(len(self)))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Pinhole cameras with lens distortion, and the pair of cameras that takes an RGB-D frame.
 
-Camera axes are OpenCV's: x right, y down, z forward. The centre of the top-left pixel is (0, 0).
+Camera axes are OpenCV's: x right, y down, z forward. The center of the top-left pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -96,14 +96,14 @@ class Camera:
         return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion], dtype=np.float64)
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Project points (..., 3) in camera coordinates (metres, z > 0) to distorted pixels (..., 2)."""
+        """Project points (..., 3) in camera coordinates (meters, z > 0) to distorted pixels (..., 2)."""
         x = points[..., 0] / points[..., 2]
         y = points[..., 1] / points[..., 2]
         x, y = self._distort(x, y)
         return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=-1)
 
     def rays(self) -> NDArray[np.float64]:
-        """Return undistorted ray slopes ``(x/z, y/z)`` of every pixel centre, (height, width, 2).
+        """Return undistorted ray slopes ``(x/z, y/z)`` of every pixel center, (height, width, 2).
 
         Lens distortion is inverted by fixed-point iteration with + - * / alone, so that every
         machine computes the same rays.
@@ -142,7 +142,7 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraRig:
-    """The colour and the depth camera of one sensor.
+    """The color and the depth camera of one sensor.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ class CameraRig:
         The two cameras. Registered input has one camera in both places.
     T_color_depth
         ``p_color = T_color_depth @ p_depth``, (4, 4). Poses of a frame belong to the depth camera.
-    T_depth_base
-        ``p_depth = T_depth_base @ p_base``, (4, 4): how the sensor is mounted among several. Poses of a scene belong
-        to the base, which is the depth camera of the first sensor.
+    T_depth_rig
+        ``p_depth = T_depth_rig @ p_rig``, (4, 4): how the sensor is mounted among several. Poses of a scene belong
+        to the frame of the rig, which is that of the first sensor's depth camera.
 
     Raises
     ------
@@ -163,35 +163,35 @@ class CameraRig:
     color: Camera
     depth: Camera
     T_color_depth: Pose
-    T_depth_base: Pose = field(default_factory=identity)
+    T_depth_rig: Pose = field(default_factory=identity)
 
     def __post_init__(self) -> None:
-        for name in ("T_color_depth", "T_depth_base"):
+        for name in ("T_color_depth", "T_depth_rig"):
             if not is_rigid(getattr(self, name)):
                 raise ConfigError(f"{name} is not a rigid transform; give a 4x4 matrix with an orthonormal rotation")
 
     @classmethod
     def registered_to(cls, camera: Camera) -> CameraRig:
-        """Return the rig of input whose depth is registered to its colour, pixel by pixel."""
+        """Return the rig of input whose depth is registered to its color, pixel by pixel."""
         return cls(color=camera, depth=camera, T_color_depth=identity())
 
     @property
     def registered(self) -> bool:
-        """Whether one ray serves both the colour and the depth of a pixel."""
+        """Whether one ray serves both the color and the depth of a pixel."""
         return self.color == self.depth and np.array_equal(self.T_color_depth, np.eye(4))
 
     @property
     def mounted(self) -> bool:
-        """Whether the depth camera is elsewhere than the base."""
-        return not np.array_equal(self.T_depth_base, np.eye(4))
+        """Whether the depth camera is elsewhere than the frame of the rig."""
+        return not np.array_equal(self.T_depth_rig, np.eye(4))
 
-    def at_sensor(self, T_base_object: Pose) -> Pose:
-        """Return the pose before the depth camera of what has a pose before the base."""
-        return compose(self.T_depth_base, T_base_object) if self.mounted else T_base_object
+    def at_sensor(self, T_rig_object: Pose) -> Pose:
+        """Return the pose before the depth camera of what has a pose before the rig."""
+        return compose(self.T_depth_rig, T_rig_object) if self.mounted else T_rig_object
 
-    def at_base(self, T_camera_object: Pose) -> Pose:
-        """Return the pose before the base of what has a pose before the depth camera."""
-        return compose(inverse(self.T_depth_base), T_camera_object) if self.mounted else T_camera_object
+    def at_rig(self, T_camera_object: Pose) -> Pose:
+        """Return the pose before the rig of what has a pose before the depth camera."""
+        return compose(inverse(self.T_depth_rig), T_camera_object) if self.mounted else T_camera_object
 
     def resized(self, width: int, height: int) -> CameraRig:
         """Return the rig with both pictures brought to one size."""

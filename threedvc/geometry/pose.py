@@ -23,8 +23,9 @@ __all__ = [
     "log_motion",
     "make_pose",
     "nearest_rotation",
-    "orthonormalised",
+    "orthonormalized",
     "quaternion",
+    "rigid_fit",
     "rotation_angle",
     "rotation_from_quaternion",
     "rotation_from_vector",
@@ -40,7 +41,7 @@ def identity() -> Pose:
 
 
 def make_pose(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> Pose:
-    """Build a transform from a (3, 3) rotation and a (3,) translation in metres."""
+    """Build a transform from a (3, 3) rotation and a (3,) translation in meters."""
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:3, 3] = translation
@@ -79,7 +80,18 @@ def nearest_rotation(matrix: Doubles) -> Doubles:
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
-def orthonormalised(pose: Pose) -> Pose:
+def rigid_fit(points: Doubles, targets: Doubles) -> Pose:
+    """Return the rigid transform that brings points (n, 3) nearest to their targets (n, 3).
+
+    Least squares without scale (Horn 1987, Umeyama 1991). Points on a line or in one place leave
+    the rotation free; one that fits is returned.
+    """
+    a, b = points.mean(axis=0), targets.mean(axis=0)
+    rotation = nearest_rotation((targets - b).T @ (points - a))
+    return make_pose(rotation, b - rotation @ a)
+
+
+def orthonormalized(pose: Pose) -> Pose:
     """Return the rigid transform nearest to a nearly rigid one."""
     return make_pose(nearest_rotation(pose[:3, :3]), pose[:3, 3])
 
@@ -149,9 +161,9 @@ def interpolated(first: Pose, second: Pose, share: float) -> Pose:
 
 
 def exp_motion(twist: Doubles) -> Pose:
-    """Return the motion of a twist (6,): the rotation vector in radians, then the shift in metres.
+    """Return the motion of a twist (6,): the rotation vector in radians, then the shift in meters.
 
-    Turn and shift are taken apart, as the exponential on SO(3) x R^3: for the small motions of an optimiser that is
+    Turn and shift are taken apart, as the exponential on SO(3) x R^3: for the small motions of an optimizer that is
     SE(3)'s to first order.
     """
     return make_pose(rotation_from_vector(twist[:3]), twist[3:])

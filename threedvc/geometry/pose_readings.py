@@ -12,7 +12,7 @@ import numpy as np
 
 from threedvc.errors import ConfigError
 from threedvc.geometry.pose import Pose, compose, inverse, make_pose, quaternion, rotation_from_quaternion
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["AS_GIVEN", "COMBINED", "TRIED_READINGS", "PoseReading", "pose_reading", "reading_names"]
 
@@ -34,8 +34,8 @@ def _w_first(pose: Pose) -> Pose:
     return make_pose(rotation_from_quaternion(np.array([second, third, fourth, first])), pose[:3, 3])
 
 
-def _units(per_metre: float) -> Convert:
-    return lambda pose: make_pose(pose[:3, :3], pose[:3, 3] / per_metre)
+def _units(per_meter: float) -> Convert:
+    return lambda pose: make_pose(pose[:3, :3], pose[:3, 3] / per_meter)
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PoseReading:
     meaning
         What the poses are then taken to be, for messages.
     convert
-        Turns a pose that was read as T_world_camera in metres, with x y z w quaternions, into what it stands for.
+        Turns a pose that was read as T_world_camera in meters, with x y z w quaternions, into what it stands for.
     """
 
     name: str
@@ -59,8 +59,8 @@ class PoseReading:
 
 _BASIC = (
     PoseReading("w-first", "written w x y z", _w_first),
-    PoseReading("millimetres", "to be in millimetres", _units(MILLIMETRES)),
-    PoseReading("centimetres", "to be in centimetres", _units(100)),
+    PoseReading("millimeters", "to be in millimeters", _units(MILLIMETERS)),
+    PoseReading("centimeters", "to be in centimeters", _units(100)),
     PoseReading("inverted", "like world-to-camera", inverse),
     PoseReading(
         "opengl", "like those of a camera with OpenGL axes (y up, z back)", lambda pose: compose(pose, OPENGL_AXES)
@@ -71,18 +71,18 @@ _BASIC = (
 """In the order in which they are applied: numbers first, then which frame is meant, then its axes."""
 _COMBINATIONS = (
     ("inverted", "opengl"),
-    ("millimetres", "inverted"),
-    ("millimetres", "opengl"),
-    ("millimetres", "body"),
-    ("centimetres", "inverted"),
-    ("centimetres", "opengl"),
-    ("w-first", "millimetres"),
+    ("millimeters", "inverted"),
+    ("millimeters", "opengl"),
+    ("millimeters", "body"),
+    ("centimeters", "inverted"),
+    ("centimeters", "opengl"),
+    ("w-first", "millimeters"),
     ("w-first", "inverted"),
     ("w-first", "opengl"),
     ("w-first", "body"),
-    ("millimetres", "inverted", "opengl"),
+    ("millimeters", "inverted", "opengl"),
     ("w-first", "inverted", "opengl"),
-    ("w-first", "millimetres", "inverted"),
+    ("w-first", "millimeters", "inverted"),
 )
 """Combinations that are tried when poses disagree; a user may ask for any."""
 
@@ -93,7 +93,7 @@ def reading_names() -> tuple[str, ...]:
 
 
 def pose_reading(name: str) -> PoseReading:
-    """Return the reading of a name such as ``inverted`` or ``millimetres+opengl``.
+    """Return the reading of a name such as ``inverted`` or ``millimeters+opengl``.
 
     Raises
     ------

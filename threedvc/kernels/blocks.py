@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 BLOCK_SIDE = 8
-"""Cells along an edge of a block. Measured on a prototype: passes over 512 cells at once, which vectorise, are 2.3
+"""Cells along an edge of a block. Measured on a prototype: passes over 512 cells at once, which vectorize, are 2.3
 times as fast as others."""
 BLOCK_CELLS = BLOCK_SIDE**3
 SUPER_SIDE = BLOCK_SIDE * 8

@@ -23,7 +23,7 @@ INVALID_UNITS = 65535
 """The largest value of 16 bits, with which many data sets say that there is no measurement."""
 NEAR_MM = 10.0
 """Bound of a share that is reported beside that of 1 %: the same at 1 m."""
-# Half a nanometre: keeps errors of exactly 10 mm inside whatever the depth unit is.
+# Half a nanometer: keeps errors of exactly 10 mm inside whatever the depth unit is.
 ROUNDING_MM = 5e-7
 
 
@@ -52,9 +52,9 @@ def depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.ui
     Parameters
     ----------
     depth
-        float32 metres, 0 = no measurement.
+        float32 meters, 0 = no measurement.
     depth_scale
-        Units per metre.
+        Units per meter.
 
     Returns
     -------
@@ -72,7 +72,7 @@ class DepthErrors:
     Attributes
     ----------
     unit_mm
-        Millimetres per unit of the depth pictures.
+        Millimeters per unit of the depth pictures.
     histogram
         (65536,) int64, number of pixels by absolute error in units, where both depths are valid.
     within_1pct

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 __all__ = ["PaperAccounting"]
 
 BYTES_PER_CELL = 4
-"""Eq. (8): position and colour of a cell in 32 bits."""
+"""Eq. (8): position and color of a cell in 32 bits."""
 BYTES_PER_POSE = 24
 """Eq. (8): six numbers of 32 bits."""
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """How good decoded pictures are, and what a model weighs: the one definition of each measure.
 
-Colour is measured over all pixels and averaged over frames. Depth is measured in units of the
+Color is measured over all pixels and averaged over frames. Depth is measured in units of the
 16-bit depth pictures: errors are then whole numbers, so that one histogram gives the exact median,
 percentile and maximum over any number of frames in constant memory.
 """
@@ -79,7 +79,7 @@ def ssim_y(reference: NDArray[np.uint8], decoded: NDArray[np.uint8]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class ColorQuality:
-    """Colour measures of one frame or their mean; names as in the JSON report."""
+    """Color measures of one frame or their mean; names as in the JSON report."""
 
     psnr_rgb: float
     psnr_y: float

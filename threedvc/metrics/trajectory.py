@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.geometry.pose import Pose, make_pose
-from threedvc.units import MILLIMETRES
+from threedvc.geometry.pose import Pose, make_pose, nearest_rotation, rigid_fit
+from threedvc.units import MILLIMETERS
 
 __all__ = [
     "ObjectPoseError",
     "TrajectoryError",
     "Travel",
-    "aligning_pose",
     "angles_between",
     "mean_pose",
     "object_pose_error",
@@ -112,7 +111,7 @@ def travel(poses: Sequence[Pose], point: NDArray[np.float64] | None = None) -> T
     poses
         T_world_thing of consecutive frames, at least one.
     point
-        (3,) metres in the frame of the thing; None: its origin.
+        (3,) meters in the frame of the thing; None: its origin.
     """
     T = np.array(poses)
     rotations, places = T[:, :3, :3], T[:, :3, 3] if point is None else T[:, :3, :3] @ point + T[:, :3, 3]
@@ -126,17 +125,6 @@ def travel(poses: Sequence[Pose], point: NDArray[np.float64] | None = None) -> T
         largest_step_m=float(steps.max(initial=0.0)),
         largest_step_deg=float(turns.max(initial=0.0)),
     )
-
-
-def aligning_pose(reference: NDArray[np.float64], estimate: NDArray[np.float64]) -> Pose:
-    """Return the rigid ``T_reference_estimate`` that best maps points (n, 3) onto their partners (n, 3).
-
-    Least squares without scale (Horn 1987, Umeyama 1991). Points on a line or in one place leave
-    the rotation free; one that fits is returned.
-    """
-    center_r, center_e = reference.mean(axis=0), estimate.mean(axis=0)
-    rotation = _nearest_rotation((reference - center_r).T @ (estimate - center_e))
-    return make_pose(rotation, center_r - rotation @ center_e)
 
 
 def trajectory_error(
@@ -155,18 +143,18 @@ def trajectory_error(
         one after it, not across a gap.
     """
     true, found = np.array(reference), np.array(estimate)
-    align = aligning_pose(true[:, :3, 3], found[:, :3, 3])
+    align = rigid_fit(found[:, :3, 3], true[:, :3, 3])
     distances = np.linalg.norm(found[:, :3, 3] @ align[:3, :3].T + align[:3, 3] - true[:, :3, 3], axis=1)
     numbers = np.arange(len(true)) if frames is None else np.array(frames)
     starts = np.flatnonzero(np.diff(numbers) == 1)
     translations, rotations = _step_errors(_steps(true, starts), _steps(found, starts))
     return TrajectoryError(
         frames=len(true),
-        ate_rmse_mm=MILLIMETRES * _rms(distances),
-        ate_max_mm=MILLIMETRES * float(distances.max()),
-        rpe_translation_mm=MILLIMETRES * _rms(translations),
+        ate_rmse_mm=MILLIMETERS * _rms(distances),
+        ate_max_mm=MILLIMETERS * float(distances.max()),
+        rpe_translation_mm=MILLIMETERS * _rms(translations),
         rpe_rotation_deg=float(np.degrees(_rms(rotations))),
-        rpe_translation_median_mm=MILLIMETRES * _median(translations),
+        rpe_translation_median_mm=MILLIMETERS * _median(translations),
         rpe_rotation_median_deg=float(np.degrees(_median(rotations))),
     )
 
@@ -176,7 +164,7 @@ def mean_pose(poses: NDArray[np.float64]) -> Pose:
 
     Rotations are compared as matrices (the chordal mean of Hartley et al. 2013, sec. 5.3), translations as points.
     """
-    return make_pose(_nearest_rotation(poses[:, :3, :3].sum(axis=0)), poses[:, :3, 3].mean(axis=0))
+    return make_pose(nearest_rotation(poses[:, :3, :3].sum(axis=0)), poses[:, :3, 3].mean(axis=0))
 
 
 def object_pose_error(reference: Sequence[Pose], estimate: Sequence[Pose]) -> ObjectPoseError:
@@ -194,7 +182,7 @@ def object_pose_error(reference: Sequence[Pose], estimate: Sequence[Pose]) -> Ob
     true, found = np.array(reference), np.array(estimate)
     aligned = found @ mean_pose(_inverses(found) @ true)
     angles = np.degrees(angles_between(aligned[:, :3, :3], true[:, :3, :3]))
-    distances = MILLIMETRES * np.linalg.norm(aligned[:, :3, 3] - true[:, :3, 3], axis=1)
+    distances = MILLIMETERS * np.linalg.norm(aligned[:, :3, 3] - true[:, :3, 3], axis=1)
     return ObjectPoseError(
         frames=len(true),
         rotation_median_deg=_median(angles),
@@ -204,13 +192,6 @@ def object_pose_error(reference: Sequence[Pose], estimate: Sequence[Pose]) -> Ob
         translation_rmse_mm=_rms(distances),
         translation_max_mm=float(distances.max()),
     )
-
-
-def _nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation with the largest inner product with a (3, 3) matrix."""
-    u, _, vt = np.linalg.svd(matrix)
-    rotation: NDArray[np.float64] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return rotation
 
 
 def _inverses(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -229,7 +210,7 @@ def _steps(poses: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.
 def _step_errors(
     true: NDArray[np.float64], found: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return distances in metres and angles in radians of the transforms that lead from one to the other."""
+    """Return distances in meters and angles in radians of the transforms that lead from one to the other."""
     return np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1), angles_between(true[:, :3, :3], found[:, :3, :3])
 
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What both sides hold: blocks of cells, their colours, and updates of them."""
+"""What both sides hold: blocks of cells, their colors, and updates of them."""

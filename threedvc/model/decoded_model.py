@@ -3,7 +3,7 @@
 
 `DecodedModel` is what the stream has conveyed: integers alone, changed by `apply` only, equal on
 both sides bit by bit. `EvidenceModel` is the encoder's: for every cell the distributions of
-occupancy (log-odds, 0 = equiprobable), of the surface's signed distance (Gaussian) and of colour
+occupancy (log-odds, 0 = equiprobable), of the surface's signed distance (Gaussian) and of color
 (Gaussian per channel).
 """
 
@@ -38,7 +38,7 @@ def shifted_blocks(blocks: NDArray[np.int32], shifts: tuple[int, ...]) -> NDArra
 
 
 class DecodedModel:
-    """Occupied cells and their colours: the MAP read-out that was sent.
+    """Occupied cells and their colors: the MAP read-out that was sent.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class DecodedModel:
     color
         (blocks, 512, 3) int16 RGB; 0 in empty cells.
     guessed
-        Whether its shape is a guess, drawn in colour only and behind all others.
+        Whether its shape is a guess, drawn in color only and behind all others.
     passing
         Whether it stands for things that are there for a moment.
     planes
@@ -59,9 +59,9 @@ class DecodedModel:
     relief
         (blocks, 512) uint8: where in the occupied cells the surface passes, see `threedvc.kernels.coding.relief`.
     relief_bits
-        Binary logarithm of the places in a cell that it may pass; 0: it passes through the centres.
+        Binary logarithm of the places in a cell that it may pass; 0: it passes through the centers.
     texture
-        Colours of parts of cells, or None for an object without.
+        Colors of parts of cells, or None for an object without.
     version
         Number of changes so far.
     """
@@ -90,7 +90,7 @@ class DecodedModel:
         self._changed = np.zeros(0, dtype=np.int64)
 
     def cells(self) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
-        """Return the occupied cells (n, 3) in Morton order and their colours (n, 3)."""
+        """Return the occupied cells (n, 3) in Morton order and their colors (n, 3)."""
         cells, positions = self.index.flagged(self.occupied[: self.index.count])
         return cells, self.color.reshape(-1, 3)[positions]
 
@@ -100,7 +100,7 @@ class DecodedModel:
         Raises
         ------
         CorruptStream
-            If the update adds a cell twice, or removes or recolours one that is not there.
+            If the update adds a cell twice, or removes or recolors one that is not there.
         """
         self.index.insert(update.added // BLOCK_SIDE)
         self._grow()
@@ -151,7 +151,7 @@ class DecodedModel:
         for_ranges(plane_range, len(numbers), threads)
 
     def uncolored_texels(self) -> NDArray[np.int32]:
-        """Return the texels (n, 3), in Morton order, of the occupied cells that have none with a colour yet.
+        """Return the texels (n, 3), in Morton order, of the occupied cells that have none with a color yet.
 
         Which texels a cell has depends on the cells around it at this moment.
         """
@@ -166,7 +166,7 @@ class DecodedModel:
         return texels_of(cells[chosen], self.planes.reshape(-1, 4)[positions[chosen]], self.texture.scale)
 
     def color_grids(self) -> list[ColorGrid]:
-        """Return where to look a colour up, the finest first."""
+        """Return where to look a color up, the finest first."""
         own = ColorGrid(self.voxel_size_m, self.index.tables, self.occupied.reshape(-1), self.color.reshape(-1, 3))
         return [own] if self.texture is None else [self.texture.grid(self.voxel_size_m), own]
 
@@ -175,7 +175,7 @@ class DecodedModel:
         return self.index.coords[: self.index.count][self._changed[: self.index.count] > version]
 
     def digest(self) -> bytes:
-        """Return a hash of cells and colours, independent of the order in which they came."""
+        """Return a hash of cells and colors, independent of the order in which they came."""
         cells, colors = self.cells()
         state = hashlib.sha256()
         state.update(np.float64(self.voxel_size_m).tobytes())
@@ -210,7 +210,7 @@ class DecodedModel:
 
 
 def _relief_places(bits: int) -> NDArray[np.float64]:
-    """Return for each relief the point (256, 3), from a cell's centre in cells, through which the surface passes."""
+    """Return for each relief the point (256, 3), from a cell's center in cells, through which the surface passes."""
     places = np.zeros((256, 3))
     levels = 1 << bits
     for axis in range(3 if bits else 0):

@@ -13,7 +13,7 @@ __all__ = ["ModelUpdate"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelUpdate:
-    """Cells that appear, vanish or change colour.
+    """Cells that appear, vanish or change color.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class ModelUpdate:
         (n, 3) int16 RGB of the rows of `added` and `recolored`; values a little beyond 0..255 are
         allowed and clamped when drawn.
     importance
-        How much errors of the colours count, (n,) float32, of `added` and then of `recolored` cells, or None: alike.
+        How much errors of the colors count, (n,) float32, of `added` and then of `recolored` cells, or None: alike.
         An encoder's; it is not sent.
     """
 
@@ -37,7 +37,7 @@ class ModelUpdate:
 
     @classmethod
     def adding(cls, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> ModelUpdate:
-        """Return an update that does nothing but add cells (n, 3) with their colours (n, 3)."""
+        """Return an update that does nothing but add cells (n, 3) with their colors (n, 3)."""
         none = np.empty((0, 3), dtype=np.int32)
         return cls(
             added=cells, added_colors=colors, removed=none, recolored=none, recolored_colors=none.astype(np.int16)

@@ -2,7 +2,7 @@
 """Post filter of drawn pictures: six symmetric ones, for pixels at silhouettes, near them and elsewhere.
 
 Cells are some pixels wide, so what is drawn is sharper at silhouettes than it is right, and surfaces
-have kinks; a background picture has the marks of its quantisation. The writer finds by least squares
+have kinks; a background picture has the marks of its quantization. The writer finds by least squares
 what mends most of it. Pixels of a background picture have filters of their own.
 """
 

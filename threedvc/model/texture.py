@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Texture: colours on a grid finer than that of the cells, along the surface that the decoder sees."""
+"""Texture: colors on a grid finer than that of the cells, along the surface that the decoder sees."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ rounded. Part of the format (docs/coding.md)."""
 
 
 class ColorGrid(NamedTuple):
-    """Coloured cells as the shading takes them.
+    """Colored cells as the shading takes them.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class ColorGrid(NamedTuple):
     tables
         Index of the cells, see `threedvc.kernels.blocks`.
     colored
-        (cells,) uint8: whether a cell has a colour.
+        (cells,) uint8: whether a cell has a color.
     colors
         (cells, 3) int16 RGB.
     """
@@ -56,7 +56,7 @@ def texels_of(cells: NDArray[np.int32], planes: NDArray[np.int8], scale: int) ->
 
 
 class Texture:
-    """Texels of one object that have a colour.
+    """Texels of one object that have a color.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ class Texture:
         self.color = np.zeros((0, BLOCK_CELLS, 3), dtype=np.int16)
 
     def texels(self) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
-        """Return the texels (n, 3) in Morton order and their colours (n, 3)."""
+        """Return the texels (n, 3) in Morton order and their colors (n, 3)."""
         texels, positions = self.index.flagged(self.known[: self.index.count])
         return texels, self.color.reshape(-1, 3)[positions]
 
     def paint(self, texels: NDArray[np.int32], colors: NDArray[np.int16]) -> None:
-        """Give texels (n, 3) their colours (n, 3)."""
+        """Give texels (n, 3) their colors (n, 3)."""
         self.index.insert(texels // BLOCK_SIDE)
         if self.index.count > len(self.known):
             more = max(self.index.count, len(self.known) * 3 // 2) - len(self.known)

@@ -25,7 +25,7 @@ EDGE = 1.1
 
 
 def depth_levels(nearest_m: float, ratio: float) -> NDArray[np.float64]:
-    """Return the depths (256,) in metres of sample values, each `ratio` times the one before."""
+    """Return the depths (256,) in meters of sample values, each `ratio` times the one before."""
     return np.multiply.accumulate(np.concatenate([[nearest_m], np.full(LEVELS - 1, ratio)]))
 
 
@@ -38,7 +38,7 @@ class CapturedDepth:
     samples
         (rows, columns) uint8, which cover the picture of the depth camera.
     levels
-        (256,) float64 metres: what their values mean.
+        (256,) float64 meters: what their values mean.
     complete
         Whether something is everywhere, also where nothing is drawn.
     """
@@ -48,7 +48,7 @@ class CapturedDepth:
     complete: bool
 
     def shown(self, drawn: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
-        """Return the depth (h, w) in metres of a frame for which the models' (h, w) is drawn; 0 = nothing there."""
+        """Return the depth (h, w) in meters of a frame for which the models' (h, w) is drawn; 0 = nothing there."""
         result = np.empty_like(drawn)
 
         def row_range(start: int, stop: int) -> None:

@@ -29,16 +29,16 @@ class MovedDepth:
     camera
         The depth camera.
     T_camera_scene
-        The pose of the scene before the camera in every frame of the group, translations in metres.
-    raw_per_metre
-        Raw depth of a metre.
+        The pose of the scene before the camera in every frame of the group, translations in meters.
+    raw_per_meter
+        Raw depth of a meter.
     threads
         Number of threads; the maps do not depend on it.
     """
 
-    def __init__(self, camera: Camera, T_camera_scene: Sequence[Pose], raw_per_metre: float, threads: int = 1) -> None:
+    def __init__(self, camera: Camera, T_camera_scene: Sequence[Pose], raw_per_meter: float, threads: int = 1) -> None:
         self.slopes, self.parameters = camera.rays(), camera.parameters()
-        self.poses, self.scale, self.threads = T_camera_scene, raw_per_metre, threads
+        self.poses, self.scale, self.threads = T_camera_scene, raw_per_meter, threads
         self.expected = np.zeros(self.slopes.shape[:2], dtype=np.float64)
 
     def __call__(self, number: int, decoded: NDArray[np.uint16] | None) -> NDArray[np.uint16] | None:

@@ -16,7 +16,7 @@ __all__ = ["BackgroundImage", "Light", "Picture"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BackgroundImage:
-    """A picture that colours the background.
+    """A picture that colors the background.
 
     Attributes
     ----------
@@ -56,13 +56,13 @@ class Picture:
     Attributes
     ----------
     color
-        (h, w, 3) uint8 RGB in the colour camera.
+        (h, w, 3) uint8 RGB in the color camera.
     depth
-        (h, w) float32 metres in the depth camera, 0 = nothing there.
+        (h, w) float32 meters in the depth camera, 0 = nothing there.
     labels
         (h, w) uint8 object numbers in the depth camera, 0 = background or nothing.
     pixel_classes
-        (h, w) uint8 classes of the colour picture's pixels, see `threedvc.model.post_filter`; None without a filter.
+        (h, w) uint8 classes of the color picture's pixels, see `threedvc.model.post_filter`; None without a filter.
     """
 
     color: NDArray[np.uint8]

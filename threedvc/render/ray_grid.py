@@ -41,10 +41,10 @@ class RayGrid:
     slopes
         (n, 2) float64 undistorted slopes, row by row.
     order
-        Numbers of all rays, packet by packet: neighbours meet the same blocks while these are at hand.
+        Numbers of all rays, packet by packet: neighbors meet the same blocks while these are at hand.
     levels
         The same numbers, by the step in which they are cast or interpolated: of those at multiples of 4 half, like
-        one colour of a chessboard, then the other half; half and half of the rest of those at multiples of 2; others.
+        one color of a chessboard, then the other half; half and half of the rest of those at multiples of 2; others.
     origin, size
         (2,) first corner and extent of a tile.
     """
@@ -77,7 +77,7 @@ class RayGrid:
 
 
 def cells_from_camera(T_camera_object: Pose, voxel_size_m: float) -> NDArray[np.float64]:
-    """Return the (3, 4) map from camera coordinates in metres to cells whose centres are integers."""
+    """Return the (3, 4) map from camera coordinates in meters to cells whose centers are integers."""
     T = inverse(T_camera_object)[:3] / voxel_size_m
     T[:, 3] -= 0.5
     return T

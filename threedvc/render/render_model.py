@@ -22,7 +22,7 @@ class RenderModel:
     Attributes
     ----------
     textures
-        Colours from the pictures of a colour video, the finest first; none before there was one.
+        Colors from the pictures of a color video, the finest first; none before there was one.
     """
 
     def __init__(self, model: DecodedModel) -> None:
@@ -35,13 +35,13 @@ class RenderModel:
         self._version = 0
 
     def video_textures(self) -> tuple[VideoTexture, ...]:
-        """Return the textures that pictures of a colour video fill, made when first asked for."""
+        """Return the textures that pictures of a color video fill, made when first asked for."""
         if not self.textures:
             self.textures = tuple(VideoTexture(self.model.voxel_size_m / scale) for scale in SCALES)
         return self.textures
 
     def color_grids(self) -> list[ColorGrid]:
-        """Return where to look a colour up, the finest first: a model under a colour video has none of its own."""
+        """Return where to look a color up, the finest first: a model under a color video has none of its own."""
         return [texture.grid() for texture in self.textures] or self.model.color_grids()
 
     def refresh(self, threads: int) -> None:

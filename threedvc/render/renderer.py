@@ -2,7 +2,7 @@
 """Redraw a frame: first-opacity ray casting of all objects at their poses, composited by depth.
 
 Both sides run this on decoded models. Only + - * /, sqrt and floor are used, rays are independent of
-each other, and colours are summed in a fixed order: the pictures are the same on every machine and
+each other, and colors are summed in a fixed order: the pictures are the same on every machine and
 for any number of threads.
 """
 
@@ -83,22 +83,22 @@ class Renderer:
         poses
             T_camera_object of every object to draw, for the depth camera.
         color
-            False leaves the colour picture black and saves its rays.
+            False leaves the color picture black and saves its rays.
         gain
-            Gain and offset (3,) float32 of each channel, applied to the drawn colours; None: none.
+            Gain and offset (3,) float32 of each channel, applied to the drawn colors; None: none.
         T_shifted_camera
-            Shift of the depth camera between depth and colour picture; None: none.
+            Shift of the depth camera between depth and color picture; None: none.
         backdrop
-            A picture that colours object 0 where it shows it; None: none.
+            A picture that colors object 0 where it shows it; None: none.
         lights
             Light on objects, by number; the others look the same from all sides.
         filters
-            Filter of the colour picture, of which the parts that `RenderConfig` names are applied; None: none.
+            Filter of the color picture, of which the parts that `RenderConfig` names are applied; None: none.
 
         Returns
         -------
         Picture
-            Pixels that no ray of theirs finds an object for have depth 0; their colour is interpolated
+            Pixels that no ray of theirs finds an object for have depth 0; their color is interpolated
             from around.
         """
         rig, rays = self.rig, self._depth_rays
@@ -132,7 +132,7 @@ class Renderer:
         picture: NDArray[np.uint8],
         T_shifted_camera: Pose,
     ) -> None:
-        """Colour models by what a decoded picture shows of them.
+        """Color models by what a decoded picture shows of them.
 
         Parameters
         ----------
@@ -141,9 +141,9 @@ class Renderer:
         poses
             T_camera_object of every object, for the depth camera when the picture was taken.
         picture
-            (h, w, 3) uint8 RGB in the colour camera.
+            (h, w, 3) uint8 RGB in the color camera.
         T_shifted_camera
-            Shift of the depth camera between depth and colour picture.
+            Shift of the depth camera between depth and color picture.
         """
         rays = self._pixel_rays()
         T_color_camera = compose(self.rig.T_color_depth, T_shifted_camera)
@@ -157,7 +157,7 @@ class Renderer:
                 texture.add(seen, picture, self.config.threads)
 
     def _pixel_rays(self) -> RayGrid:
-        """Return one ray for each pixel of the colour picture."""
+        """Return one ray for each pixel of the color picture."""
         if self._color_rays.width == self.rig.color.width:
             return self._color_rays
         return RayGrid(self.rig.color, 1)
@@ -172,7 +172,7 @@ class Renderer:
         lights: Mapping[int, Light],
         gain: Gain | None,
     ) -> NDArray[np.uint8]:
-        """Return the colour picture (h, w, 3) of rays that met surfaces."""
+        """Return the color picture (h, w, 3) of rays that met surfaces."""
         threads = self.config.threads
         color, known = shaded_rays(rays, hits, models, poses, backdrop, lights, threads)
         return pixel_colors(color, known, self.rig.color, self.supersample, gain, threads)
@@ -187,7 +187,7 @@ class Renderer:
         Returns
         -------
         depth
-            (rays,) metres along z, 0 where nothing is met.
+            (rays,) meters along z, 0 where nothing is met.
         labels
             (rays,) numbers of the objects.
         """

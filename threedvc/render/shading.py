@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colours of rays that met a surface, of cells, background image and light; and pixels out of them."""
+"""Colors of rays that met a surface, of cells, background image and light; and pixels out of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Gain", "Hits", "first_rays", "pixel_colors", "shaded_rays"]
 
 Scalar = TypeVar("Scalar", np.float32, np.uint8)
 Hits: TypeAlias = tuple[NDArray[np.float32], NDArray[np.uint8]]
-"""Depth (rays,) metres along z, 0 where nothing is met, and number (rays,) of the object met."""
+"""Depth (rays,) meters along z, 0 where nothing is met, and number (rays,) of the object met."""
 Gain: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Gain and offset (3,) of each channel."""
 SAME_PLACE = 1e-9
@@ -41,7 +41,7 @@ def shaded_rays(
     lights: Mapping[int, Light],
     threads: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return colours (rays, 3) and which of them are known (rays,): those of rays that met a coloured cell."""
+    """Return colors (rays, 3) and which of them are known (rays,): those of rays that met a colored cell."""
     depth, labels = hits
     color, known = np.zeros((len(depth), 3), dtype=np.float32), np.zeros(len(depth), dtype=np.uint8)
     if backdrop is not None:
@@ -63,7 +63,7 @@ def shaded_rays(
 
 
 def first_rays(values: NDArray[Scalar], camera: Camera, supersample: int) -> NDArray[Scalar]:
-    """Return of values of the colour rays (rays,) those of every pixel's first one (h, w)."""
+    """Return of values of the color rays (rays,) those of every pixel's first one (h, w)."""
     s = supersample
     return np.ascontiguousarray(values.reshape(camera.height, s, camera.width, s)[:, 0, :, 0])
 
@@ -103,7 +103,7 @@ def _shade_background(
     known: NDArray[np.uint8],
     threads: int,
 ) -> None:
-    """Colour the rays that met the background, where its image shows it."""
+    """Color the rays that met the background, where its image shows it."""
     depth, labels = hits
     T_picture_camera = compose(backdrop.T_camera_world, inverse(T_camera_world))
     beyond = bool(np.abs(T_picture_camera - np.eye(4)).max() < SAME_PLACE)
@@ -140,7 +140,7 @@ def _relight(
 def _averaged(
     color: NDArray[np.float32], known: NDArray[np.uint8], camera: Camera, s: int
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the mean colour (h, w, 3) of the known rays of each pixel, and where there is any (h, w)."""
+    """Return the mean color (h, w, 3) of the known rays of each pixel, and where there is any (h, w)."""
     shades = color.reshape(camera.height, s, camera.width, s, 3)
     hits = known.astype(np.float32).reshape(camera.height, s, camera.width, s, 1)
     weight = np.zeros((camera.height, camera.width, 1), np.float32)

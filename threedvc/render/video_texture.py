@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Colours of models whose stream has a colour video in their place: gathered from its pictures as they come.
+"""Colors of models whose stream has a color video in their place: gathered from its pictures as they come.
 
-A pixel of a decoded picture colours the texel that its ray meets first in the models as they are drawn. Other
-viewpoints, sizes and choices of objects are then drawn in these colours (docs/drawing.md).
+A pixel of a decoded picture colors the texel that its ray meets first in the models as they are drawn. Other
+viewpoints, sizes and choices of objects are then drawn in these colors (docs/drawing.md).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ two, every reader must use it."""
 MAX_COUNT = 256
 """Pixels in a texel's mean: more are halved, so that surfaces look as they did lately."""
 MAX_DEPTH_RATIO = 1.05
-"""Depths of neighbouring pixels on one surface differ by less: 5 % within a pixel is a slope of 88 degrees."""
+"""Depths of neighboring pixels on one surface differ by less: 5 % within a pixel is a slope of 88 degrees."""
 
 
 class VideoTexture:
-    """Texels of one object at one scale, coloured by the pictures so far.
+    """Texels of one object at one scale, colored by the pictures so far.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class VideoTexture:
         self._gathered = _no_texels(0)
 
     def add(self, seen: SeenSurface, picture: NDArray[np.uint8], threads: int) -> None:
-        """Take colours from a picture (h, w, 3) of the colour camera; `seen` is what it shows of the object."""
+        """Take colors from a picture (h, w, 3) of the color camera; `seen` is what it shows of the object."""
         texels = np.zeros((*seen.depth.shape, 3), dtype=np.int32)
         found = np.zeros(seen.depth.shape, dtype=np.bool_)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Headers of the packets that hold pictures as captured: colour, depth, and depth within a bound."""
+"""Headers of the packets that hold pictures as captured: color, depth, and depth within a bound."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class VideoHeader(SensorRunHeader):
 
 @dataclass(frozen=True, kw_only=True)
 class ColorVideoHeader(SensorRunHeader):
-    """Colour as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+    """Color as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
 
     Attributes
     ----------
     columns, rows
-        Size of its pictures, which cover those of the colour camera.
+        Size of its pictures, which cover those of the color camera.
     codec
         What its pictures are coded by, see `VideoCodec`.
     bits
@@ -69,10 +69,10 @@ class ResidualHeader(SensorRunHeader):
     Attributes
     ----------
     kind
-        What the bound of its error is measured in: 0 metres, 1 shares of the depth, 2 levels of the sensor, 3 nothing,
+        What the bound of its error is measured in: 0 meters, 1 shares of the depth, 2 levels of the sensor, 3 nothing,
         as there is no error.
     bound
-        Metres, or a share.
+        Meters, or a share.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.RESIDUAL

@@ -123,17 +123,17 @@ class StreamHeader(Header):
     required
         Names of features a reader must have.
     color_camera, depth_camera
-        ``width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3``; no depth camera: the colour camera's.
+        ``width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3``; no depth camera: the color camera's.
     T_color_depth
         First three rows of the extrinsic, row by row (12 numbers); empty: identity.
     depth_scale
-        Units per metre of 16-bit depth pictures, 0 = no measurement.
+        Units per meter of 16-bit depth pictures, 0 = no measurement.
     start_ns, period_num, period_den
         Frame k stands at ``start_ns + k * period_num / period_den`` nanoseconds, rounded to the nearest
         (halves up), unless a CLOCK packet corrects it.
     translation_step_m, rotation_step_rad
-        Quantisation of poses.
-    grey
+        Quantization of poses.
+    gray
         Whether the pictures have one channel.
     sensors
         Number of sensors; a SENSOR packet for each after the first follows.
@@ -156,7 +156,7 @@ class StreamHeader(Header):
     period_den: int = key("pd", integer(1, 10**9), default=1)
     translation_step_m: float = key("qt", number(1e-7, 1.0))
     rotation_step_rad: float = key("qr", number(1e-7, 1.0))
-    grey: bool = key("g", flag(), default=False)
+    gray: bool = key("g", flag(), default=False)
     given_world: bool = key("w", flag(), default=False)
     name: str = key("n", text(255), default="")
     sensors: int = key("s", integer(1, MAX_SENSORS), default=1)
@@ -168,7 +168,7 @@ class SensorHeader(Header):
 
     Attributes
     ----------
-    T_depth_base
+    T_depth_rig
         First three rows of the transform from the depth camera of the first sensor to that of this one, row by row
         (12 numbers); empty: identity.
     start_ns, period_num, period_den
@@ -180,12 +180,12 @@ class SensorHeader(Header):
     color_camera: tuple[float, ...] = key("cc", camera())
     depth_camera: tuple[float, ...] = key("dc", camera(optional=True), default=())
     T_color_depth: tuple[float, ...] = key("tcd", extrinsic(), default=())
-    T_depth_base: tuple[float, ...] = key("tdb", extrinsic(), default=())
+    T_depth_rig: tuple[float, ...] = key("tdb", extrinsic(), default=())
     depth_scale: float = key("ds", number(1e-6, 1e9))
     start_ns: int = key("t0", integer(-(1 << 63), (1 << 63) - 1), default=0)
     period_num: int = key("pn", integer(1, 10**15))
     period_den: int = key("pd", integer(1, 10**9), default=1)
-    grey: bool = key("g", flag(), default=False)
+    gray: bool = key("g", flag(), default=False)
     name: str = key("n", text(255), default="")
 
 
@@ -211,10 +211,10 @@ class ObjectHeader(Header):
     texture_bits
         Texels along an edge of a cell, as a power of two; 0: the object has no texture.
     guessed
-        Whether the object's shape is a guess where nothing was measured: it is drawn in colour pictures only, and
+        Whether the object's shape is a guess where nothing was measured: it is drawn in color pictures only, and
         behind all others.
     relief_bits
-        In how many places of a cell the surface may pass, as a power of two; 0: through its centre.
+        In how many places of a cell the surface may pass, as a power of two; 0: through its center.
     passing
         Whether it stands for things that are there for a moment, such as hands: one after the other, each with cells of
         its own.
@@ -269,23 +269,23 @@ class ReliefHeader(PartHeader):
 
 @dataclass(frozen=True, kw_only=True)
 class TextureHeader(PartHeader):
-    """Colours of the texels of all cells of an object that have none yet, after its update of the same frame."""
+    """Colors of the texels of all cells of an object that have none yet, after its update of the same frame."""
 
     packet_type: ClassVar[PacketType] = PacketType.TEXTURE
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainHeader(SensorRunHeader):
-    """Gains of a colour camera in `count` of its frames from `frame` on; the last one stays otherwise."""
+    """Gains of a color camera in `count` of its frames from `frame` on; the last one stays otherwise."""
 
     packet_type: ClassVar[PacketType] = PacketType.GAIN
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShiftHeader(SensorRunHeader):
-    """Where the depth camera of `count` frames of a sensor from `frame` on stood when the colour picture was taken.
+    """Where the depth camera of `count` frames of a sensor from `frame` on stood when the color picture was taken.
 
-    Colour and depth are seldom taken at the same instant, nor a whole picture at one; the last shift stays otherwise.
+    Color and depth are seldom taken at the same instant, nor a whole picture at one; the last shift stays otherwise.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.SHIFT
@@ -293,7 +293,7 @@ class ShiftHeader(SensorRunHeader):
 
 @dataclass(frozen=True, kw_only=True)
 class BackdropHeader(Header):
-    """A picture that colours the background, as the colour camera of `frame` sees it, from that frame on."""
+    """A picture that colors the background, as the color camera of `frame` sees it, from that frame on."""
 
     packet_type: ClassVar[PacketType] = PacketType.BACKDROP
 
@@ -311,7 +311,7 @@ class DepthHeader(Header):
 
 @dataclass(frozen=True, kw_only=True)
 class FilterHeader(Header):
-    """The filter of colour pictures from `frame` on."""
+    """The filter of color pictures from `frame` on."""
 
     packet_type: ClassVar[PacketType] = PacketType.FILTER
 

@@ -15,7 +15,7 @@ class PoseStatus(StrEnum):
     """Given with the input."""
     TRACKED = "tracked"
     """Registered from the frame before."""
-    RELOCALISED = "relocalised"
+    RELOCALIZED = "relocalized"
     """Found again after it was lost."""
     WEAK = "weak"
     """Registered, but hardly determined or with a poor fit."""

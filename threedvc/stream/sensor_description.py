@@ -30,9 +30,9 @@ def rig_of(header: StreamHeader | SensorHeader) -> CameraRig:
     try:
         color = _camera(header.color_camera)
         depth = _camera(header.depth_camera) if header.depth_camera else color
-        mount = header.T_depth_base if isinstance(header, SensorHeader) else ()
+        mount = header.T_depth_rig if isinstance(header, SensorHeader) else ()
         return CameraRig(
-            color=color, depth=depth, T_color_depth=_transform(header.T_color_depth), T_depth_base=_transform(mount)
+            color=color, depth=depth, T_color_depth=_transform(header.T_color_depth), T_depth_rig=_transform(mount)
         )
     except ConfigError as error:
         raise CorruptStream(f"{header.packet_type.name} header: {error}") from None

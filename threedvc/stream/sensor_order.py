@@ -17,7 +17,7 @@ class SensorSlot(NamedTuple):
     """One frame's sensor, and whether it was taken at the moment of the frame before, by another sensor."""
 
     sensor: int
-    synchronised: bool
+    synchronized: bool
 
 
 Cycle: TypeAlias = tuple[SensorSlot, ...]
@@ -29,7 +29,7 @@ class SensorSchedule:
 
     def __init__(self) -> None:
         self._first = 0
-        self._cycle: Cycle = (SensorSlot(0, synchronised=False),)
+        self._cycle: Cycle = (SensorSlot(0, synchronized=False),)
 
     def copy(self) -> SensorSchedule:
         """Return the same schedule, to begin other cycles in."""
@@ -54,7 +54,7 @@ def shortest_cycle(slots: Sequence[SensorSlot]) -> Cycle:
 
 def pack_cycle(cycle: Cycle) -> bytes:
     """Return the payload of an ORDER packet."""
-    return b"".join(pack_varint(2 * slot.sensor + slot.synchronised) for slot in cycle)
+    return b"".join(pack_varint(2 * slot.sensor + slot.synchronized) for slot in cycle)
 
 
 def unpack_cycle(payload: bytes, sensors: int) -> Cycle:
@@ -69,12 +69,12 @@ def unpack_cycle(payload: bytes, sensors: int) -> Cycle:
     """
     reader, cycle = ByteReader(payload), list[SensorSlot]()
     while reader.remaining:
-        sensor, synchronised = divmod(reader.varint(), 2)
+        sensor, synchronized = divmod(reader.varint(), 2)
         if sensor >= sensors:
             raise CorruptStream(f"an ORDER names sensor {sensor}, but the stream has {sensors}")
         if len(cycle) == MAX_COUNT:
             raise LimitExceeded(f"an ORDER has more than {MAX_COUNT} turns")
-        cycle.append(SensorSlot(sensor, bool(synchronised)))
+        cycle.append(SensorSlot(sensor, bool(synchronized)))
     if not cycle:
         raise CorruptStream("an ORDER has no turns")
     return tuple(cycle)

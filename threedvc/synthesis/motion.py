@@ -74,7 +74,7 @@ def look_at(eye: NDArray[np.float64], target: NDArray[np.float64], roll: float =
     Parameters
     ----------
     eye, target
-        (3,) points in metres; the line between them must not be upright.
+        (3,) points in meters; the line between them must not be upright.
     roll
         Angle in radians by which the camera turns about its axis.
     """

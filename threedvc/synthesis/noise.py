@@ -13,7 +13,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KINECT_PROJECTOR_M", "Noise", "kinect_depth", "quantised_depth"]
+__all__ = ["KINECT_PROJECTOR_M", "Noise", "kinect_depth", "quantized_depth"]
 
 KINECT_PROJECTOR_M = (0.075, 0.0, 0.0)
 """To the right of the depth camera: its baseline."""
@@ -38,15 +38,15 @@ class Noise(StrEnum):
     KINECT = "kinect"
 
 
-def quantised_depth(depth: NDArray[np.float64], depth_scale: float) -> NDArray[np.float32]:
-    """Round depth in metres to whole units of a 16-bit picture; what does not fit becomes 0.
+def quantized_depth(depth: NDArray[np.float64], depth_scale: float) -> NDArray[np.float32]:
+    """Round depth in meters to whole units of a 16-bit picture; what does not fit becomes 0.
 
     Parameters
     ----------
     depth
-        (height, width) metres, 0 = no measurement.
+        (height, width) meters, 0 = no measurement.
     depth_scale
-        Units per metre.
+        Units per meter.
     """
     units = np.rint(depth * depth_scale)
     return np.where(units <= np.iinfo(np.uint16).max, units / depth_scale, 0.0).astype(np.float32)
@@ -60,7 +60,7 @@ def kinect_depth(
     Parameters
     ----------
     depth
-        (height, width) exact metres along z, 0 = nothing there.
+        (height, width) exact meters along z, 0 = nothing there.
     hidden
         (height, width) points that the projector at `KINECT_PROJECTOR_M` does not reach.
     rng
@@ -68,7 +68,7 @@ def kinect_depth(
 
     Returns
     -------
-    (height, width) metres, 0 = no measurement.
+    (height, width) meters, 0 = no measurement.
     """
     dropped = depth_edges(depth) & (rng.random(depth.shape) < EDGE_DROPOUT)
     measurable = (depth >= NEAR_M) & (depth <= FAR_M) & ~hidden & ~dropped
@@ -79,7 +79,7 @@ def kinect_depth(
 
 
 def depth_edges(depth: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Mark pixels whose 3x3 neighbourhood spans more than 4 % of their depth."""
+    """Mark pixels whose 3x3 neighborhood spans more than 4 % of their depth."""
     padded = np.pad(depth, 1, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     span = windows.max(axis=(2, 3)) - windows.min(axis=(2, 3))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Exact pictures of a synthetic scene by analytic ray casting.
 
-The colour of a body depends on where it stands through the Lambert light alone: only background parts
-cast shadows, and only on the background, so that a moving body never changes another surface's colour.
+The color of a body depends on where it stands through the Lambert light alone: only background parts
+cast shadows, and only on the background, so that a moving body never changes another surface's color.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from threedvc.units import LUMA_WEIGHTS
 __all__ = ["Picture", "SceneRenderer"]
 
 SAMPLES = 2
-"""Rays along each side of a pixel of the colour picture: outlines are smooth at four times the work of one."""
+"""Rays along each side of a pixel of the color picture: outlines are smooth at four times the work of one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,9 +35,9 @@ class Picture:
     Attributes
     ----------
     color
-        (height, width, 3) uint8 RGB in the colour camera, 2 x 2 rays per pixel.
+        (height, width, 3) uint8 RGB in the color camera, 2 x 2 rays per pixel.
     depth
-        (height, width) float64 metres along z in the depth camera, by the ray through each pixel's centre;
+        (height, width) float64 meters along z in the depth camera, by the ray through each pixel's center;
         0 where it meets nothing.
     labels
         (height, width) uint8 labels in the depth camera, by the same rays.
@@ -65,10 +65,10 @@ class SceneRenderer:
         self._depth_rays = scene.rig.depth.rays()
         self._color_rays = _sample_rays(scene.rig.color)
         bodies = [(body.label, part) for body in scene.bodies for part in body.parts]
-        labelled = [(0, part) for part in scene.background] + bodies
-        self._parts, self._texels = _part_table(labelled)
-        self._radii = np.array([part.shape.radius for _, part in labelled])
-        self._T_body_part = np.stack([part.T_body_part for _, part in labelled])
+        labeled = [(0, part) for part in scene.background] + bodies
+        self._parts, self._texels = _part_table(labeled)
+        self._radii = np.array([part.shape.radius for _, part in labeled])
+        self._T_body_part = np.stack([part.T_body_part for _, part in labeled])
         self._lights = np.array([[*light.position, light.strength] for light in scene.lights]).reshape(-1, 4)
 
     def picture(self, index: int) -> Picture:
@@ -89,7 +89,7 @@ class SceneRenderer:
         return depth, labels
 
     def color(self, index: int) -> NDArray[np.uint8]:
-        """Return the colour picture of frame `index`, see `Picture`."""
+        """Return the color picture of frame `index`, see `Picture`."""
         rays, texels, ambient = self._color_rays, self._texels, self.scene.ambient
         T_color_world = self.scene.rig.T_color_depth @ inverse(self.scene.T_world_camera[index])
         parts, bounds = self._placed(index, T_color_world)
@@ -101,7 +101,7 @@ class SceneRenderer:
             -(-len(color) // TILE),
             self._threads,
         )
-        if self.scene.grey:
+        if self.scene.gray:
             color[...] = (color @ np.array(LUMA_WEIGHTS))[..., None]
         return np.asarray(np.rint(color), dtype=np.uint8)
 
@@ -115,7 +115,7 @@ class SceneRenderer:
         depth
             (height, width) exact depth of that frame.
         source
-            (3,) place in the depth camera's frame, metres.
+            (3,) place in the depth camera's frame, meters.
 
         Returns
         -------
@@ -157,13 +157,13 @@ def _inverses(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([rotations, -rotations @ transforms[:, :3, 3:]], axis=2)
 
 
-def _part_table(labelled: list[tuple[int, Part]]) -> tuple[NDArray[Any], NDArray[np.uint8]]:
+def _part_table(labeled: list[tuple[int, Part]]) -> tuple[NDArray[Any], NDArray[np.uint8]]:
     """Return the records of all parts, not yet placed, and the texels of their pictures."""
-    parts = np.zeros(len(labelled), dtype=PART)
+    parts = np.zeros(len(labeled), dtype=PART)
     pictures: dict[int, tuple[int, int, int]] = {}
     texels = [np.zeros((1, 3), dtype=np.uint8)]
     filled = 1
-    for record, (label, part) in zip(parts, labelled, strict=True):
+    for record, (label, part) in zip(parts, labeled, strict=True):
         texture = part.texture
         record["kind"], record["size"] = part.shape.kind, part.shape.size
         record["label"], record["seed"] = label, texture.seed

@@ -40,7 +40,7 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """A point light fixed in the room, without fall-off: place in metres and strength."""
+    """A point light fixed in the room, without fall-off: place in meters and strength."""
 
     position: tuple[float, float, float]
     strength: float
@@ -57,7 +57,7 @@ class Scene:
     rig
         Cameras.
     background
-        Parts that stand still, in world coordinates (metres, z up).
+        Parts that stand still, in world coordinates (meters, z up).
     bodies
         Things that move; `Body.label` differs.
     T_world_camera
@@ -70,7 +70,7 @@ class Scene:
         Strength of the light from everywhere.
     fps
         Frame rate.
-    grey
+    gray
         Whether the pictures have one channel.
 
     Raises
@@ -88,7 +88,7 @@ class Scene:
     lights: tuple[Light, ...]
     ambient: float = 0.40
     fps: float = 30.0
-    grey: bool = False
+    gray: bool = False
 
     def __post_init__(self) -> None:
         labels = [body.label for body in self.bodies]

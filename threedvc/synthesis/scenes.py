@@ -2,7 +2,7 @@
 """The scenes of ``3dvc synth``.
 
 ``paper``
-    The set-up of Martins & Moura, sec. 3: one rigid object in 6-DOF motion before a static background, grey;
+    The set-up of Martins & Moura, sec. 3: one rigid object in 6-DOF motion before a static background, gray;
     the object is nearer than `PAPER_THRESHOLD_M`, the background beyond, in every frame and for every seed.
 ``objects``
     A fixed camera before the corner of a room; three toys move at three distances and hide each other; the
@@ -59,7 +59,7 @@ def make_scene(name: str, *, frames: int | None = None, size: tuple[int, int] | 
     size
         Width and height in pixels, or None for 100x100, 320x240, 320x240.
     seed
-        Varies textures, colours and the small motions.
+        Varies textures, colors and the small motions.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _paper(frames: int, width: int, height: int, seed: int) -> Scene:
         T_world_camera=np.repeat(T_world_camera[None], frames, axis=0),
         camera_moves=False,
         lights=(Light(position=(2.6, 0.9, 2.3), strength=0.62), Light(position=(0.9, 3.0, 1.6), strength=0.14)),
-        grey=True,
+        gray=True,
     )
 
 
@@ -269,7 +269,7 @@ def _shell(
 ) -> tuple[Part, ...]:
     """Return floor, ceiling and four walls; `walls` are for +x, +y, -x, -y normals, repeated if fewer.
 
-    Neighbours overlap, so that no ray slips out between them.
+    Neighbors overlap, so that no ray slips out between them.
     """
     overlap = 0.2
     mx, my, mz = sum(x) / 2, sum(y) / 2, height / 2

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from threedvc.errors import ConfigError
 from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.geometry.pose import Pose, make_pose, rotation_from_vector
-from threedvc.synthesis.noise import KINECT_PROJECTOR_M, Noise, kinect_depth, quantised_depth
+from threedvc.synthesis.noise import KINECT_PROJECTOR_M, Noise, kinect_depth, quantized_depth
 from threedvc.synthesis.renderer import Picture, SceneRenderer
 from threedvc.synthesis.scene import Scene
-from threedvc.units import MILLIMETRES, NANOSECONDS
+from threedvc.units import MILLIMETERS, NANOSECONDS
 
 __all__ = ["SyntheticSequence", "mounted_sequences"]
 
-DEPTH_SCALE = MILLIMETRES
-"""Units per metre: millimetres, as most depth pictures have them."""
+DEPTH_SCALE = MILLIMETERS
+"""Units per meter: millimeters, as most depth pictures have them."""
 SENSOR_TURN_RAD, SENSOR_SHIFT_M = 0.6, 0.12
 """How each sensor of several is mounted to the right of the one before: 34 degrees, so that their fields of view
 overlap by nearly half."""
@@ -34,7 +34,7 @@ class SyntheticSequence:
     scene
         What to show, see `threedvc.synthesis.make_scene`.
     noise
-        ``ideal``: exact depth rounded to millimetres; ``kinect``: the model of `threedvc.synthesis.noise`.
+        ``ideal``: exact depth rounded to millimeters; ``kinect``: the model of `threedvc.synthesis.noise`.
     seed
         Seed of the sensor's noise; each frame has its own stream, so their order does not matter.
     threads
@@ -67,7 +67,7 @@ class SyntheticSequence:
             depth_scale=DEPTH_SCALE,
             fps=self.scene.fps,
             frame_count=self.scene.frame_count,
-            grey=self.scene.grey,
+            gray=self.scene.gray,
             has_camera_poses=self.scene.camera_moves,
             has_object_poses=bool(self.scene.bodies),
             has_masks=bool(self.scene.bodies),
@@ -93,7 +93,7 @@ class SyntheticSequence:
             index=index,
             timestamp_ns=round(Fraction(index * NANOSECONDS) / Fraction(self.scene.fps)),
             color=picture.color,
-            depth=quantised_depth(self._measured(index, picture), DEPTH_SCALE),
+            depth=quantized_depth(self._measured(index, picture), DEPTH_SCALE),
             mask=picture.labels if self.scene.bodies else None,
             T_world_camera=self.scene.T_world_camera[index] if self.scene.camera_moves else None,
             T_camera_object=self.scene.object_poses(index),

@@ -2,7 +2,7 @@
 """Primitives of synthetic scenes, and bodies made of them.
 
 A body is a union of parts. Seen from outside, the first hit of any part is the surface of the union,
-so no other solid geometry is needed. Lengths are in metres; a body's frame has z up.
+so no other solid geometry is needed. Lengths are in meters; a body's frame has z up.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A primitive centred in its own frame.
+    """A primitive centered in its own frame.
 
     Attributes
     ----------
     kind
         One of the primitives of `threedvc.kernels.synthesis.parts`.
     size
-        Three sizes in metres; what they mean depends on the kind, see the functions that make shapes.
+        Three sizes in meters; what they mean depends on the kind, see the functions that make shapes.
     radius
-        Radius of the smallest sphere about the origin that holds the shape, metres.
+        Radius of the smallest sphere about the origin that holds the shape, meters.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def cylinder(radius: float, height: float) -> Shape:
 
 
 def capsule(radius: float, length: float) -> Shape:
-    """Return a capsule about z; `length` is between the centres of its round ends."""
+    """Return a capsule about z; `length` is between the centers of its round ends."""
     return Shape(kind=CAPSULE, size=(radius, length / 2, 0.0), radius=radius + length / 2)
 
 
@@ -128,13 +128,13 @@ def at(x: float, y: float, z: float, rotation: NDArray[np.float64] | None = None
 
 
 def capsule_between(start: ArrayLike, end: ArrayLike, radius: float, texture: Texture) -> Part:
-    """Return a capsule whose round ends are centred at two points of the body."""
+    """Return a capsule whose round ends are centered at two points of the body."""
     length, pose = _between(start, end)
     return Part(shape=capsule(radius, length), texture=texture, T_body_part=pose)
 
 
 def frustum_between(start: ArrayLike, end: ArrayLike, start_radius: float, end_radius: float, texture: Texture) -> Part:
-    """Return a cut cone whose caps are centred at two points of the body."""
+    """Return a cut cone whose caps are centered at two points of the body."""
     length, pose = _between(start, end)
     return Part(shape=frustum(start_radius, end_radius, length), texture=texture, T_body_part=pose)
 

@@ -53,19 +53,19 @@ INKS: tuple[RGB, ...] = (
     (176, 116, 86),
     (208, 216, 206),
 )
-"""Colours of posters and prints, of which pictures draw some; by taste, far apart in hue."""
+"""Colors of posters and prints, of which pictures draw some; by taste, far apart in hue."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Texture:
-    """The colour of a surface before lighting.
+    """The color of a surface before lighting.
 
     Attributes
     ----------
     pattern
         One of the patterns of `threedvc.kernels.synthesis.parts`.
     colors
-        The two colours that the pattern mixes.
+        The two colors that the pattern mixes.
     scale_m
         Period along u and v; of a picture, its width and height. Infinity: no change along that axis.
     grain
@@ -96,7 +96,7 @@ class Texture:
 
 
 def plain(color: RGB, grain: float = 0.15) -> Texture:
-    """Return one colour with a little grain."""
+    """Return one color with a little grain."""
     return Texture(pattern=PLAIN, colors=(color, color), grain=grain)
 
 
@@ -127,7 +127,7 @@ def wood(first: RGB, second: RGB, ring_m: float, seed: int = 0) -> Texture:
 
 
 def patches(first: RGB, second: RGB, scale_m: float, seed: int = 0) -> Texture:
-    """Return sharp blots of the second colour on the first, as on a cow's hide."""
+    """Return sharp blots of the second color on the first, as on a cow's hide."""
     return Texture(pattern=PATCHES, colors=(first, second), scale_m=(scale_m, scale_m), grain=0.1, seed=seed)
 
 
@@ -192,7 +192,7 @@ def cloth(thread: RGB, rng: np.random.Generator) -> Texture:
 
 
 def poster(width_m: float, height_m: float, rng: np.random.Generator) -> Texture:
-    """Return a printed sheet: a coloured field of discs and boxes over lines like those of a text."""
+    """Return a printed sheet: a colored field of discs and boxes over lines like those of a text."""
     image = _ground((240, 236, 224), width_m, height_m, rng)
     height, width = image.shape[:2]
     rows, columns = np.indices((height, width))
@@ -212,7 +212,7 @@ def poster(width_m: float, height_m: float, rng: np.random.Generator) -> Texture
 
 
 def parcel(width_m: float, height_m: float, rng: np.random.Generator) -> Texture:
-    """Return a printed package: a band across a ground colour, a bright label and a frame."""
+    """Return a printed package: a band across a ground color, a bright label and a frame."""
     image = _ground(_printed(rng), width_m, height_m, rng)
     height, width = image.shape[:2]
     rows, columns = np.indices((height, width))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Things made of primitives: the toys that move, and the furniture that stands in a room.
 
-Each function returns the parts of one thing in its own frame, in metres with z up. Toys have their
+Each function returns the parts of one thing in its own frame, in meters with z up. Toys have their
 origin in their middle, furniture has it on the floor below its middle.
 """
 
@@ -59,7 +59,7 @@ DARK_BROWN: RGB = (84, 54, 32)
 DARK: RGB = (44, 42, 46)
 CREAM: RGB = (238, 232, 218)
 RED: RGB = (196, 44, 40)
-"""Colours that several things share, these five; by taste."""
+"""Colors that several things share, these five; by taste."""
 
 
 def placed(parts: tuple[Part, ...], pose: Pose) -> tuple[Part, ...]:
@@ -107,7 +107,7 @@ def _cow_side(side: float, hide: Texture, horn: Texture, hoof: Texture) -> tuple
 
 
 def mug(first: RGB, second: RGB) -> tuple[Part, ...]:
-    """Return a chequered mug with a handle, 0.12 m high, filled with coffee."""
+    """Return a checkered mug with a handle, 0.12 m high, filled with coffee."""
     around = 2 * np.pi * 0.045
     glaze = textures.plain(first)
     return (

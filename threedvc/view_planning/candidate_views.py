@@ -28,7 +28,7 @@ def look_along(eye: NDArray[np.float64], direction: NDArray[np.float64], up: NDA
     Parameters
     ----------
     eye
-        (3,) its place in metres.
+        (3,) its place in meters.
     direction
         (3,) unit vector along which it looks.
     up
@@ -97,7 +97,7 @@ def reachable_views(
 
 
 def reachable_places(field: OccupancyField, recorded: NDArray[np.float64], clearance_m: float) -> NDArray[np.float64]:
-    """Return places (m, 3) in metres: those where the camera was (n, 3), and where it could go from there.
+    """Return places (m, 3) in meters: those where the camera was (n, 3), and where it could go from there.
 
     The way leads through cells known to be free, away from what is occupied.
     """

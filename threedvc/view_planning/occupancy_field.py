@@ -31,7 +31,7 @@ FREE, OCCUPIED = -1.0, 1.0
 COARSER = 1.05
 """Step by which cells are widened until they are few enough: no cell is more than 5 % wider than it has to be."""
 STOPS = 1e6
-"""Halvings per metre where rays stop: nothing passes even the smallest cell."""
+"""Halvings per meter where rays stop: nothing passes even the smallest cell."""
 
 
 def widened(cells: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
@@ -47,7 +47,7 @@ def widened(cells: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
 
 
 def _sides(extent: NDArray[np.float64], cell_m: float) -> NDArray[np.float64]:
-    """Return how many cells along each side cover an extent (3,) in metres, as floats, which do not overflow."""
+    """Return how many cells along each side cover an extent (3,) in meters, as floats, which do not overflow."""
     return np.maximum(np.ceil(extent / cell_m - 1e-9), 1)
 
 
@@ -57,7 +57,7 @@ class OccupancyField:
     Parameters
     ----------
     low_m, high_m
-        (3,) corners of the box in metres.
+        (3,) corners of the box in meters.
     finest_m
         Least edge of a cell; a large box has larger ones, so that there are no more than `MAX_CELLS`.
     half_m
@@ -116,7 +116,7 @@ class OccupancyField:
         return bernoulli_entropy_bits(self.log_odds).astype(np.float32)
 
     def opacity(self) -> NDArray[np.float32]:
-        """Return how often rays are halved per metre of each cell (nx, ny, nz).
+        """Return how often rays are halved per meter of each cell (nx, ny, nz).
 
         A cell believed occupied lets none pass. Space that was not seen lets more of them pass than equiprobable cells
         that do not depend on each other would: what is empty is so at large.
@@ -125,19 +125,19 @@ class OccupancyField:
         return np.where(self.occupied, STOPS, halvings).astype(np.float32)
 
     def cells_from(self, T_field_camera: Pose) -> NDArray[np.float64]:
-        """Return the (3, 4) map from camera coordinates in metres to cells, whose corners are integers."""
+        """Return the (3, 4) map from camera coordinates in meters to cells, whose corners are integers."""
         T = T_field_camera[:3] / self.cell_m
         T[:, 3] -= self.origin_m / self.cell_m
         return np.asarray(T)
 
     def cells_at(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the numbers of the distinct cells that points (n, 3) in metres lie in; those outside are left out."""
+        """Return the numbers of the distinct cells that points (n, 3) in meters lie in; those outside are left out."""
         cells = np.floor((points - self.origin_m) / self.cell_m).astype(np.int64)
         inside = np.all((cells >= 0) & (cells < self.log_odds.shape), axis=1)
         return np.unique(np.ravel_multi_index(tuple(cells[inside].T), self.log_odds.shape))
 
     def centers(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the centres (n, 3) in metres of cells of given numbers (n,)."""
+        """Return the centers (n, 3) in meters of cells of given numbers (n,)."""
         cells = np.stack(np.unravel_index(numbers, self.log_odds.shape), axis=-1)
         return self.origin_m + (cells + 0.5) * self.cell_m
 
@@ -154,7 +154,7 @@ class OccupancyField:
         Parameters
         ----------
         depth
-            (h, w) metres along z, 0 = nothing there.
+            (h, w) meters along z, 0 = nothing there.
         mask
             (h, w) pixels that show what the field is of; the others tell only what lies before them.
         camera
@@ -182,12 +182,12 @@ class OccupancyField:
         np.clip(self.log_odds, -MAX_LOG_ODDS, MAX_LOG_ODDS, out=self.log_odds)
 
     def hold_occupied(self, points: NDArray[np.float64]) -> None:
-        """Let cells with points (n, 3) of surfaces, in metres, stop rays; they stay uncertain until seen well."""
+        """Let cells with points (n, 3) of surfaces, in meters, stop rays; they stay uncertain until seen well."""
         flat, numbers = self.log_odds.reshape(-1), self.cells_at(points)
         flat[numbers] = np.maximum(flat[numbers], np.float32(1.01 * OCCUPIED))
 
     def hold_free(self, place: NDArray[np.float64], radius_m: float, sensor: SensorModel) -> None:
-        """Take cells within a radius of a place (3,) in metres, where a camera has been, as passed through."""
+        """Take cells within a radius of a place (3,) in meters, where a camera has been, as passed through."""
         reach = np.ceil(radius_m / self.cell_m)
         axis = np.arange(-reach, reach + 1)
         offsets = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * self.cell_m

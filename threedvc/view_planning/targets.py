@@ -55,7 +55,7 @@ class DrawnFrame:
     camera
         The camera of the picture.
     depth
-        (h, w) float32 metres, 0 = nothing there.
+        (h, w) float32 meters, 0 = nothing there.
     labels
         (h, w) uint8 object numbers.
     """
@@ -243,7 +243,7 @@ def _moves(number: int, model: DecodedModel, states: Sequence[FrameState]) -> bo
 
 
 def _points(model: DecodedModel) -> NDArray[np.float64]:
-    """Return the centres (n, 3) of a model's cells in metres."""
+    """Return the centers (n, 3) of a model's cells in meters."""
     return np.asarray((model.cells()[0] + 0.5) * model.voxel_size_m, dtype=np.float64)
 
 

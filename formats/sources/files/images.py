@@ -35,7 +35,7 @@ EXIF, ORIENTATION_TAG = b"Exif\0\0", 0x0112
 HEAD_BYTES = 64
 """Enough for every signature here."""
 MAX_PIXELS = 1 << 26
-"""64 million pixels: more than any depth camera's colour picture has, and a few hundred megabytes once decoded."""
+"""64 million pixels: more than any depth camera's color picture has, and a few hundred megabytes once decoded."""
 PNG_FIRST_CHUNK = 25
 """Bytes of IHDR with its length, type and checksum."""
 PNG_CHECKSUM_BYTES = 4
@@ -219,7 +219,7 @@ def read_mask(path: Path) -> NDArray[np.uint8]:
 
 
 def _without_alpha(picture: cv2.typing.MatLike) -> cv2.typing.MatLike:
-    """Return a grey picture (h, w) that was decoded with an alpha channel, which OpenCV makes of it, without that."""
+    """Return a gray picture (h, w) that was decoded with an alpha channel, which OpenCV makes of it, without that."""
     if picture.ndim == 3 and picture.shape[2] in (2, 4) and np.array_equal(picture[..., 0], picture[..., -2]):
         return np.ascontiguousarray(picture[..., 0])
     return picture

@@ -36,7 +36,7 @@ PictureSize = tuple[int, int]
 MIN_FPS, MAX_FPS = 1e-3, 1e5
 """From a frame in a quarter of an hour to more than any camera takes."""
 MIN_DEPTH_SCALE, MAX_DEPTH_SCALE = 1e-3, 1e9
-"""Units from a kilometre to a nanometre."""
+"""Units from a kilometer to a nanometer."""
 INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
 REMEDY = "give --intrinsics FILE or fx,fy,cx,cy"
 
@@ -51,7 +51,7 @@ class CameraFile:
     rig: CameraRig
     depth_scale: float | None = None
     fps: float | None = None
-    T_base_depth: Pose | None = None
+    T_rig_depth: Pose | None = None
     notices: tuple[Notice, ...] = ()
 
 
@@ -65,7 +65,7 @@ def find_cameras(
     folder, options
         The recording and what the user said.
     pair
-        The first colour and depth picture: their sizes complete what names no size.
+        The first color and depth picture: their sizes complete what names no size.
     own_file
         The intrinsics file of the recording, if it has one. It also completes the user's depth scale, frame rate and
         mounting.
@@ -78,10 +78,8 @@ def find_cameras(
     given = read_intrinsics(path, color, depth) if path.is_file() else numbers_option(options.intrinsics, color, depth)
     if own is None:
         return given
-    mount = own.T_base_depth if given.T_base_depth is None else given.T_base_depth
-    return replace(
-        given, depth_scale=given.depth_scale or own.depth_scale, fps=given.fps or own.fps, T_base_depth=mount
-    )
+    mount = own.T_rig_depth if given.T_rig_depth is None else given.T_rig_depth
+    return replace(given, depth_scale=given.depth_scale or own.depth_scale, fps=given.fps or own.fps, T_rig_depth=mount)
 
 
 def _of_stream(known: KnownCameras) -> CameraFile:
@@ -109,7 +107,7 @@ def numbers_option(text: str, color: PictureSize, depth: PictureSize) -> CameraF
     Raises
     ------
     ConfigError
-        If the text is not four sensible numbers, or colour and depth differ in size.
+        If the text is not four sensible numbers, or color and depth differ in size.
     """
     try:
         values = [float(part) for part in text.split(",")]
@@ -119,7 +117,7 @@ def numbers_option(text: str, color: PictureSize, depth: PictureSize) -> CameraF
         raise ConfigError(f"--intrinsics {text}: neither a file nor four numbers fx,fy,cx,cy; {REMEDY}")
     if color != depth:
         raise ConfigError(
-            f"--intrinsics {text}: one camera cannot have pictures of {_size(color)} (colour) and {_size(depth)} "
+            f"--intrinsics {text}: one camera cannot have pictures of {_size(color)} (color) and {_size(depth)} "
             "(depth); give a file with color, depth and T_color_depth"
         )
     return _checked(CameraFile(rig=CameraRig.registered_to(_camera(values, color, f"--intrinsics {text}"))), text)
@@ -132,7 +130,7 @@ def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> Camer
     ----------
     path
         A ``.json`` file, in our form (`width, height, fx, fy, cx, cy`, optional `distortion`, `depth_scale`, `fps`,
-        `T_base_depth`; or the cameras under `color` and `depth`, with `T_color_depth`) or in Open3D's
+        `T_rig_depth`; or the cameras under `color` and `depth`, with `T_color_depth`) or in Open3D's
         (`width, height`, column-major `intrinsic_matrix`); or a text file with a 3x3 or 4x4 matrix.
     color, depth
         Width and height of the first pictures, for files that do not say.
@@ -151,7 +149,7 @@ def read_intrinsics(path: Path, color: PictureSize, depth: PictureSize) -> Camer
         rig=_two_cameras(content, path) if "color" in content else _one_camera(content, path, color, depth),
         depth_scale=_optional_positive(content, "depth_scale", path, MIN_DEPTH_SCALE, MAX_DEPTH_SCALE),
         fps=_optional_positive(content, "fps", path, MIN_FPS, MAX_FPS),
-        T_base_depth=_transform(content, "T_base_depth", path),
+        T_rig_depth=_transform(content, "T_rig_depth", path),
     )
     return _checked(file, str(path))
 
@@ -211,7 +209,7 @@ def _camera_entry(content: Mapping[str, object], path: Path, prefix: str) -> Cam
 def _registered(values: list[float], color: PictureSize, depth: PictureSize, source: str) -> CameraRig:
     if color != depth:
         raise SequenceError(
-            f"{source}: holds one camera, but colour is {_size(color)} and depth {_size(depth)}; "
+            f"{source}: holds one camera, but color is {_size(color)} and depth {_size(depth)}; "
             "give a JSON file with color, depth and T_color_depth"
         )
     return CameraRig.registered_to(_camera(values, color, source))

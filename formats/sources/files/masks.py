@@ -59,7 +59,7 @@ class Masks:
 def find_masks(folder: Path, pairing: Pairing) -> Masks:
     """Find the masks of frames, in the first folder for masks that a recording has.
 
-    A mask is named as the colour or the depth picture of its frame, or has the frame's number or time in its name.
+    A mask is named as the color or the depth picture of its frame, or has the frame's number or time in its name.
 
     Raises
     ------
@@ -255,7 +255,7 @@ def _blend_doubt(path: Path, read: Callable[[Path], NDArray[np.uint8]]) -> Notic
     return Notice(
         f"{path}: {which} lie on {count} pixels ({count / labels.size:.1%}) of the outlines, between a lower and a "
         "higher label, as interpolation or JPEG leaves them, and each label is taken for an object; make the masks "
-        "again without smoothing (nearest neighbour, 8-bit PNG)",
+        "again without smoothing (nearest neighbor, 8-bit PNG)",
         warning=True,
     )
 
@@ -290,7 +290,7 @@ def _object_doubts(masks: Mapping[int, Path], read: Callable[[Path], NDArray[np.
 
 
 def blends(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return which pixels (h, w) interpolation has given a label between those of two neighbours; none if few are.
+    """Return which pixels (h, w) interpolation has given a label between those of two neighbors; none if few are.
 
     Such a pixel has a lower and a higher label within two pixels, and no patch of its own label that is as wide. Masks
     as somebody drew them have a few of these, too, where three regions meet or a thin thing lies before two others; but

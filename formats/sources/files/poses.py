@@ -73,7 +73,7 @@ def rigid_poses(matrices: PoseArray, places: Sequence[str]) -> PoseArray:
 
 
 def pose_from_row(row: Row) -> Pose:
-    """Turn a row ``key tx ty tz qx qy qz qw`` (metres) into a pose; raises SequenceError."""
+    """Turn a row ``key tx ty tz qx qy qz qw`` (meters) into a pose; raises SequenceError."""
     if len(row.fields) != 8:
         raise SequenceError(
             f"{row.place}: {len(row.fields)} fields, expected 8 (key tx ty tz qx qy qz qw); correct the line"
@@ -82,7 +82,7 @@ def pose_from_row(row: Row) -> Pose:
 
 
 def pose_from_numbers(numbers: Sequence[float], place: str) -> Pose:
-    """Turn ``tx ty tz qx qy qz qw`` (metres) into a pose; raises SequenceError that names the place."""
+    """Turn ``tx ty tz qx qy qz qw`` (meters) into a pose; raises SequenceError that names the place."""
     values = np.array(numbers)
     length = float(np.linalg.norm(values[3:]))
     if not abs(length - 1) <= UNIT_TOLERANCE or not np.all(np.isfinite(values)):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Cameras that other programs leave beside pictures: BOP's ``scene_camera.json``, nerfstudio's ``transforms.json``.
 
-BOP has an entry for each frame, whose ``depth_scale`` turns depth into millimetres; one camera must hold for all of
+BOP has an entry for each frame, whose ``depth_scale`` turns depth into millimeters; one camera must hold for all of
 them. Of nerfstudio's file only the one camera of all frames is read. The poses in both are not.
 """
 
@@ -20,7 +20,7 @@ from threedvc.formats.sources.files.text import read_json
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import SourceOptions
 from threedvc.geometry.camera import Camera, CameraRig
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["cameras_beside"]
 
@@ -38,7 +38,7 @@ def cameras_beside(folder: Path, options: SourceOptions, pair: PicturePair) -> C
     folder, options
         The recording and what the user said. The depth scale of BOP's file holds for the user's cameras, too.
     pair
-        The first colour and depth picture.
+        The first color and depth picture.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def cameras_beside(folder: Path, options: SourceOptions, pair: PicturePair) -> C
     if given is None and (folder / NERFSTUDIO).is_file():
         if read_header(pair[0]).size != size:
             raise SequenceError(
-                f"{folder / NERFSTUDIO}: has one camera, but colour is {_pixels(read_header(pair[0]).size)} and depth "
+                f"{folder / NERFSTUDIO}: has one camera, but color is {_pixels(read_header(pair[0]).size)} and depth "
                 f"{_pixels(size)}; give --intrinsics FILE with color, depth and T_color_depth"
             )
         return _nerfstudio(folder / NERFSTUDIO, size)
@@ -65,16 +65,16 @@ def _bop(path: Path, size: PictureSize) -> CameraFile:
     if not entries:
         raise SequenceError(f"{path}: has no camera of any frame; restore the file, or {REMEDY}")
     first = next(iter(entries))
-    matrix, millimetres = _bop_entry(path, first, entries[first])
+    matrix, millimeters = _bop_entry(path, first, entries[first])
     for frame, entry in entries.items():
-        if _bop_entry(path, frame, entry) != (matrix, millimetres):
+        if _bop_entry(path, frame, entry) != (matrix, millimeters):
             raise SequenceError(
                 f"{path}: frame {frame} has another cam_K or depth_scale than frame {first}; one camera and one scale "
                 "must hold for all frames of a recording"
             )
     values = [matrix[0], matrix[4], matrix[2], matrix[5]]
     posed = any("cam_R_w2c" in entry for entry in entries.values())
-    return _camera_file(path, values, size, posed, depth_scale=MILLIMETRES / millimetres)
+    return _camera_file(path, values, size, posed, depth_scale=MILLIMETERS / millimeters)
 
 
 def _bop_entry(path: Path, frame: str, entry: Mapping[str, object]) -> tuple[list[float], float]:
@@ -120,7 +120,7 @@ def _camera_file(
     distortion: list[float] | None = None,
     depth_scale: float | None = None,
 ) -> CameraFile:
-    """Return one camera (fx, fy, cx, cy) for colour and depth, with what is to be told about its file."""
+    """Return one camera (fx, fy, cx, cy) for color and depth, with what is to be told about its file."""
     fx, fy, cx, cy = values
     k1, k2, p1, p2, k3 = distortion or [0.0] * 5
     try:
@@ -128,7 +128,7 @@ def _camera_file(
     except ConfigError as error:
         raise SequenceError(f"{path}: {error}; {REMEDY}") from None
     check_camera(camera, str(path), REMEDY)
-    scale = "" if depth_scale is None else f" and the depth scale ({depth_scale:g} units per metre)"
+    scale = "" if depth_scale is None else f" and the depth scale ({depth_scale:g} units per meter)"
     poses = "; its poses are not read, and the camera is tracked" if posed else ""
     told = Notice(f"{path}: the camera (fx {fx:g}){scale} is taken from this file{poses}")
     return CameraFile(

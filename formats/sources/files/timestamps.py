@@ -158,7 +158,7 @@ def rate_of(stamps: Sequence[int], told: float | None, place: str) -> Rate:
 
 @dataclass(frozen=True)
 class Clock:
-    """Times (ns) of the frames' depth and colour pictures, the colour's None where it is the same, and the rate."""
+    """Times (ns) of the frames' depth and color pictures, the color's None where it is the same, and the rate."""
 
     stamps: Sequence[tuple[int, int | None]]
     fps: float

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Bare folders of colour and depth pictures, paired by the numbers or the times in their names.
+"""Bare folders of color and depth pictures, paired by the numbers or the times in their names.
 
-The intrinsics must be given, unless BOP or nerfstudio left a file with them; depth is in millimetres unless the scale
+The intrinsics must be given, unless BOP or nerfstudio left a file with them; depth is in millimeters unless the scale
 is given. Names that are times give the clock, else it is regular. Masks are read from ``masks/`` or ``mask_visib/``,
 poses (4x4 camera-to-world) from ``pose/N.txt``.
 """
@@ -21,7 +21,7 @@ from threedvc.formats.sources.files.program_cameras import cameras_beside
 from threedvc.formats.sources.files.timestamps import clock_of
 from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions, chosen_folder, first_folder
 from threedvc.geometry.pose import Pose
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["LAYOUT"]
 
@@ -29,8 +29,8 @@ COLOR_NAMES = ("color", "rgb", "image", "images", "colour")
 DEPTH_NAMES = ("depth", "depths")
 
 
-def recognises(folder: Path) -> bool:
-    """Tell whether the folder has a folder named like colour and one named like depth."""
+def recognizes(folder: Path) -> bool:
+    """Tell whether the folder has a folder named like color and one named like depth."""
     return first_folder(folder, COLOR_NAMES) is not None and first_folder(folder, DEPTH_NAMES) is not None
 
 
@@ -64,7 +64,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         frames,
         cameras,
         options,
-        depth_scale=MILLIMETRES,
+        depth_scale=MILLIMETERS,
         fps=clock.fps,
         poses_from=poses_from,
         notices=(*pairing.notices, *clock.notices, *masks.notices),
@@ -77,4 +77,4 @@ def _poses(folder: Path, numbers: Sequence[int]) -> tuple[dict[int, Pose | None]
     return ({}, None) if place is None else (read_pose_folder(place, numbers), place)
 
 
-LAYOUT = Layout(name="bare", recognises=recognises, read=read, takes_folders=True, trial=80)
+LAYOUT = Layout(name="bare", recognizes=recognizes, read=read, takes_folders=True, trial=80)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """One folder with both kinds of pictures, told apart by words in their names: ``0000-color.png``, ``0000-depth.png``.
 
-The words are color, colour, rgb, image or img, and depth. The intrinsics are given, or stand in ``intrinsics.json``
-there; depth is in millimetres unless the scale is given. Names that are times give the clock, else it is regular.
+The words are color, color, rgb, image or img, and depth. The intrinsics are given, or stand in ``intrinsics.json``
+there; depth is in millimeters unless the scale is given. Names that are times give the clock, else it is regular.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threedvc.formats.sources.files.timestamps import clock_of
 from threedvc.formats.sources.names import named_pictures
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["LAYOUT"]
 
@@ -28,7 +28,7 @@ COLOR = re.compile(r"colou?r|rgb|image|img", re.IGNORECASE)
 INTRINSICS_NAMES = ("intrinsics.json", "camera_intrinsic.json", "intrinsic.json")
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Tell whether the folder itself holds pictures of both kinds."""
     names = [path.stem for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
     return any(map(DEPTH.search, names)) and any(COLOR.search(name) and not DEPTH.search(name) for name in names)
@@ -55,7 +55,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         for (color, depth), (stamp, color_stamp) in zip(pairing.pairs, clock.stamps, strict=True)
     ]
     return assemble(
-        folder, frames, cameras, options, depth_scale=MILLIMETRES, fps=clock.fps,
+        folder, frames, cameras, options, depth_scale=MILLIMETERS, fps=clock.fps,
         notices=(*unread, *pairing.notices, *clock.notices),
     )  # fmt: skip
 
@@ -68,4 +68,4 @@ def _require_both(folder: Path, colors: Sequence[Path], depths: Sequence[Path]) 
         )
 
 
-LAYOUT = Layout(name="flat", recognises=recognises, read=read, trial=90)
+LAYOUT = Layout(name="flat", recognizes=recognizes, read=read, trial=90)

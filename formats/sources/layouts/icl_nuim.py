@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """ICL-NUIM in its TUM-compatible form: ``rgb/N.png``, ``depth/N.png``, ``associations.txt``, ``*.gt.freiburg``.
 
-Depth has 5000 units per metre and is registered to colour. The keys of the associations and the first column of
+Depth has 5000 units per meter and is registered to color. The keys of the associations and the first column of
 the ground truth are frame numbers, not times: frames are matched to poses by number, on a 30 Hz clock. The ground
 truth is that of a mirrored room: with M = diag(1, -1, 1) the pose is (M R M, M t).
 """
@@ -39,7 +39,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 """Between that room and a right-handed one: y turned round."""
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Tell whether the folder has a ``*.gt.freiburg``."""
     return any(folder.glob(GROUND_TRUTH))
 
@@ -79,4 +79,4 @@ def _ground_truth(folder: Path) -> dict[int, Pose]:
     return {row.integer(0): MIRROR @ pose_from_row(row) @ MIRROR for row in rows}
 
 
-LAYOUT = Layout(name="icl-nuim", recognises=recognises, read=read, trial=10)
+LAYOUT = Layout(name="icl-nuim", recognizes=recognizes, read=read, trial=10)

@@ -6,9 +6,9 @@
     color/NNNNNN.png       8-bit, 1 or 3 channels (or .jpg)
     depth/NNNNNN.png       16-bit, 0 = no measurement
     intrinsics.json        width, height, fx, fy, cx, cy, optional distortion [k1 k2 p1 p2 k3],
-                           depth_scale (units per metre, 1000 if absent), fps (30 if absent);
+                           depth_scale (units per meter, 1000 if absent), fps (30 if absent);
                            or, for two cameras, `color` and `depth` with those entries, and T_color_depth (4x4)
-    poses.txt              optional: NNNNNN tx ty tz qx qy qz qw, T_world_camera, metres;
+    poses.txt              optional: NNNNNN tx ty tz qx qy qz qw, T_world_camera, meters;
                            a number alone, or no line, stands for a frame whose pose is not known
     masks/NNNNNN.png       optional: 8-bit labels in the depth camera, 0 = background; of the first frame
                            and as many others as there are
@@ -39,7 +39,7 @@ from threedvc.formats.sources.files.timestamps import UNITS, Clock, clock_of, pa
 from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import DEFAULT_FPS, FrameFiles, Layout, Recording, SourceOptions, chosen_folder
 from threedvc.geometry.pose import Pose
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["LAYOUT"]
 
@@ -51,7 +51,7 @@ OBJECT_POSES = "object_poses.json"
 TIMESTAMPS = "timestamps.txt"
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Tell whether the folder has our intrinsics, poses or times beside ``color/`` or ``depth/``."""
     own_files = any((folder / name).exists() for name in (INTRINSICS, POSES, OBJECT_POSES, TIMESTAMPS))
     return own_files and ((folder / "color").is_dir() or (folder / "depth").is_dir())
@@ -75,7 +75,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         _frames(folder, pairing, clock, masks),
         cameras,
         options,
-        depth_scale=MILLIMETRES,
+        depth_scale=MILLIMETERS,
         fps=clock.fps,
         poses_from=folder / POSES,
         notices=(*(() if has_times else pairing.notices), *clock.notices, *masks.notices),
@@ -210,4 +210,4 @@ def _poses_of_object(path: Path, label: str, entries: object, count: int) -> lis
     return list(zip(known, poses, strict=True))
 
 
-LAYOUT = Layout(name="plain", recognises=recognises, read=read, takes_folders=True, trial=40)
+LAYOUT = Layout(name="plain", recognizes=recognizes, read=read, takes_folders=True, trial=40)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Redwood and Open3D recordings: ``{color,rgb,image}/`` and ``depth/`` paired in order, depth in millimetres.
+"""Redwood and Open3D recordings: ``{color,rgb,image}/`` and ``depth/`` paired in order, depth in millimeters.
 
 The intrinsics are Open3D's JSON where there is one, else the 525-pixel camera that the Redwood data sets use. A
 trajectory in Open3D's ``.log`` form gives one camera-to-world matrix per frame. Names such as
@@ -21,7 +21,7 @@ from threedvc.formats.sources.files.timestamps import clock_of
 from threedvc.formats.sources.recording import FrameFiles, Layout, Recording, SourceOptions, chosen_folder, first_folder
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
-from threedvc.units import MILLIMETRES, NANOSECONDS
+from threedvc.units import MILLIMETERS, NANOSECONDS
 
 __all__ = ["LAYOUT"]
 
@@ -34,8 +34,8 @@ MICROSECOND_NS = NANOSECONDS // 1_000_000
 """Names carry microseconds, stamps are nanoseconds."""
 
 
-def recognises(folder: Path) -> bool:
-    """Tell whether the folder has colour, depth, and an Open3D trajectory, Open3D intrinsics or stamped names."""
+def recognizes(folder: Path) -> bool:
+    """Tell whether the folder has color, depth, and an Open3D trajectory, Open3D intrinsics or stamped names."""
     if not (folder / "depth").is_dir() or first_folder(folder, COLOR_NAMES) is None:
         return False
     stamped = any(STAMPED_NAME.fullmatch(path.stem) for path in (folder / "depth").glob("*-*.png"))
@@ -60,7 +60,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         frames,
         cameras,
         options,
-        depth_scale=MILLIMETRES,
+        depth_scale=MILLIMETERS,
         fps=clock.fps,
         poses_from=next(iter(_trajectories(folder)), None),
         notices=(*pairing.notices, *clock.notices),
@@ -116,4 +116,4 @@ def _poses(folder: Path, count: int) -> Sequence[Pose | None]:
     return poses
 
 
-LAYOUT = Layout(name="redwood", recognises=recognises, read=read, takes_folders=True, trial=50)
+LAYOUT = Layout(name="redwood", recognizes=recognizes, read=read, takes_folders=True, trial=50)

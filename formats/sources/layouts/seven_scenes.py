@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Microsoft 7-Scenes: ``frame-NNNNNN.{color.png,depth.png,pose.txt}`` in one folder per sequence.
 
-Depth is in millimetres, 0 and 65535 mean no measurement. Colour and depth are not registered: two cameras with
+Depth is in millimeters, 0 and 65535 mean no measurement. Color and depth are not registered: two cameras with
 their nominal intrinsics, taken to stand in one place because the release gives no extrinsic. A pose is that of
 the depth camera, camera-to-world. 30 frames a second.
 """
@@ -24,7 +24,7 @@ from threedvc.formats.sources.notices import Notice
 from threedvc.formats.sources.recording import DEFAULT_FPS, FrameFiles, Layout, Recording, SourceOptions
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.geometry.pose import Pose
-from threedvc.units import MILLIMETRES
+from threedvc.units import MILLIMETERS
 
 __all__ = ["LAYOUT"]
 
@@ -39,7 +39,7 @@ RIG = CameraRig(
 """As published with the data set: nominal values of a Kinect 1."""
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Tell whether the folder holds a ``frame-NNNNNN.depth.png``."""
     return any(folder.glob("frame-*.depth.png"))
 
@@ -66,7 +66,7 @@ def read(folder: Path, options: SourceOptions) -> Recording:
         frames,
         cameras,
         options,
-        depth_scale=MILLIMETRES,
+        depth_scale=MILLIMETERS,
         fps=fps,
         poses_from=folder / "frame-*.pose.txt",
         notices=notices,
@@ -80,12 +80,12 @@ def _cameras(folder: Path, options: SourceOptions, pair: PicturePair) -> tuple[C
     )
     cameras = find_cameras(folder, options, pair, beside)
     if cameras is None:
-        sizes = f"{RIG.color.fx:g} and {RIG.depth.fx:g} pixels, colour and depth not registered"
+        sizes = f"{RIG.color.fx:g} and {RIG.depth.fx:g} pixels, color and depth not registered"
         told = f"{folder}: no camera file; the nominal cameras of 7-Scenes ({sizes}) are assumed; {REMEDY} for others"
         return CameraFile(rig=RIG), [Notice(told)]
     if options.intrinsics is not None:
         return cameras, []
-    return cameras, [Notice(f"{folder}: its cameras are taken from {beside}, colour and depth registered")]
+    return cameras, [Notice(f"{folder}: its cameras are taken from {beside}, color and depth registered")]
 
 
 def _files_by_number(folder: Path) -> dict[int, dict[str, Path]]:
@@ -114,4 +114,4 @@ def _poses(folder: Path, files: Mapping[int, Mapping[str, Path]]) -> dict[int, P
     return {number: read_known_matrix(path) for number, path in paths.items()}
 
 
-LAYOUT = Layout(name="7scenes", recognises=recognises, read=read, trial=30)
+LAYOUT = Layout(name="7scenes", recognizes=recognizes, read=read, trial=30)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """TUM RGB-D benchmark: ``rgb.txt`` and ``depth.txt`` (stamp and path), or a ready associations file.
 
-Depth has 5000 units per metre and is registered to colour. Colour and depth pictures are paired by time, uniquely and
+Depth has 5000 units per meter and is registered to color. Color and depth pictures are paired by time, uniquely and
 within 20 ms; the rest is left out, as everybody does with this benchmark. ``groundtruth.txt`` (camera-to-world,
 about 100 Hz) is interpolated at the time of the depth picture. The cameras of freiburg1 to 3 are known by the
 sequence's name, which is that of the folder or stands in the header of ``rgb.txt``.
@@ -36,7 +36,7 @@ from threedvc.geometry.pose import Pose
 __all__ = ["DEPTH_SCALE", "LAYOUT"]
 
 DEPTH_SCALE = 5000.0
-"""Units per metre, by the benchmark's definition."""
+"""Units per meter, by the benchmark's definition."""
 ASSOCIATIONS = "assoc*.txt"
 GROUND_TRUTH = "groundtruth.txt"
 HEADING = re.compile(r"(?!nan|inf)[A-Za-z_]", re.IGNORECASE)
@@ -73,7 +73,7 @@ CAMERAS = {
 
 @dataclass(frozen=True)
 class StampedPair:
-    """A colour and a depth picture with their times in nanoseconds."""
+    """A color and a depth picture with their times in nanoseconds."""
 
     color_stamp: int
     color: Path
@@ -81,7 +81,7 @@ class StampedPair:
     depth: Path
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Tell whether the folder has ``rgb.txt`` and ``depth.txt``, or an associations file."""
     lists = (folder / "rgb.txt").exists() and (folder / "depth.txt").exists()
     return lists or any(folder.glob(ASSOCIATIONS))
@@ -127,12 +127,12 @@ def _pairs(folder: Path, fps: float) -> tuple[list[StampedPair], list[Notice]]:
         pairs = [StampedPair(*colors.paths[i], *depths.paths[j]) for i, j in matches]
         notices = [*depths.notices, *left_out(len(colors.paths), len(depths.paths), len(pairs), str(folder))]
     if not pairs:
-        raise SequenceError(f"{folder}: no colour picture within 20 ms of a depth picture; check rgb.txt and depth.txt")
+        raise SequenceError(f"{folder}: no color picture within 20 ms of a depth picture; check rgb.txt and depth.txt")
     return sorted(pairs, key=lambda pair: pair.depth_stamp), notices
 
 
 def _associations(path: Path, fps: float) -> tuple[list[StampedPair], list[Notice]]:
-    """Read lines of a stamp and a path for colour and for depth, in either order."""
+    """Read lines of a stamp and a path for color and for depth, in either order."""
     columns: list[list[tuple[Decimal, Path]]] = [[], []]
     for index, (number, line) in enumerate(read_lines(path)):
         if index == 0 and HEADING.match(line):
@@ -154,7 +154,7 @@ def _stamped_names(line: str, place: str) -> list[tuple[str, str]]:
     """Split a line into two stamps and two names, which may have spaces in them; raises SequenceError."""
     found = ASSOCIATION.fullmatch(line)
     if not found or ("depth" in found["first"].lower()) == ("depth" in found["second"].lower()):
-        raise SequenceError(f"{place}: expected stamp, colour path, stamp, depth path; correct the line")
+        raise SequenceError(f"{place}: expected stamp, color path, stamp, depth path; correct the line")
     return [(found["at"], found["first"]), (found["then"], found["second"])]
 
 
@@ -230,4 +230,4 @@ def _known_camera(folder: Path) -> Camera | None:
     return CAMERAS[sequence[1]] if sequence else None
 
 
-LAYOUT = Layout(name="tum", recognises=recognises, read=read, trial=20)
+LAYOUT = Layout(name="tum", recognizes=recognizes, read=read, trial=20)

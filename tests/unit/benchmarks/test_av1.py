@@ -52,11 +52,11 @@ class TestColor:
         sizes = [scaled(codec, scale).encode_color(pictures()).size for scale in (1, 2, 4)]
         assert sizes == sorted(sizes, reverse=True)
 
-    def test_grey_stays_grey(self, codec: VideoCodec) -> None:
-        grey = [np.repeat(picture[..., :1], 3, axis=2) for picture in pictures()]
-        coded = codec.encode_color(grey, grey=True)
+    def test_gray_stays_gray(self, codec: VideoCodec) -> None:
+        gray = [np.repeat(picture[..., :1], 3, axis=2) for picture in pictures()]
+        coded = codec.encode_color(gray, gray=True)
         assert coded.size < codec.encode_color(pictures()).size
-        for given, seen in zip(grey, codec.decode_color(coded, grey=True), strict=True):
+        for given, seen in zip(gray, codec.decode_color(coded, gray=True), strict=True):
             assert np.ptp(seen.astype(int), axis=2).max() == 0
             assert psnr(given, seen) > 30
 

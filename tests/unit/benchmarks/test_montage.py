@@ -14,7 +14,7 @@ import montage
 
 
 def write_sequence(folder: Path, frames: int, suffix: str) -> None:
-    """Write a plain sequence whose colour tells the frame and whose depth grows to the right, 1 to 2 m."""
+    """Write a plain sequence whose color tells the frame and whose depth grows to the right, 1 to 2 m."""
     for kind in ("color", "depth"):
         (folder / kind).mkdir(parents=True)
     (folder / "intrinsics.json").write_text(json.dumps({"depth_scale": 1000.0}), encoding="utf-8")

@@ -113,8 +113,8 @@ class TestPictures:
             assert np.median(np.abs(given - drawn)) <= 3
 
     def test_near_is_bright_and_nothing_is_black(self) -> None:
-        grey = paper_experiment.range_picture(np.array([[0.0, 1.0, 2.0]], dtype=np.float32), 1.0, 2.0)
-        assert grey[0, :: paper_experiment.RANGE_ENLARGEMENT].tolist() == [0, 255, paper_experiment.DARKEST_GREY]
+        gray = paper_experiment.range_picture(np.array([[0.0, 1.0, 2.0]], dtype=np.float32), 1.0, 2.0)
+        assert gray[0, :: paper_experiment.RANGE_ENLARGEMENT].tolist() == [0, 255, paper_experiment.DARKEST_GRAY]
 
     def test_models_are_drawn_for_both_moments(self, small_folder: Path) -> None:
         pictures = [cv2.imread(str(small_folder / f"spheres_{count:03}.png")) for count in (EARLY, FRAMES)]

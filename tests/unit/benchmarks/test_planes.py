@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures as planes for video codecs: colour, scaling, filling, inverse depth."""
+"""Pictures as planes for video codecs: color, scaling, filling, inverse depth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class TestColor:
         picture = rng.integers(0, 256, (8, 12, 3), dtype=np.uint8)
         assert yuv_of(picture, (12, 8))[0] == pytest.approx(luma(picture), abs=1e-3)
 
-    def test_grey_has_no_chroma(self, rng: np.random.Generator) -> None:
+    def test_gray_has_no_chroma(self, rng: np.random.Generator) -> None:
         picture = np.repeat(rng.integers(0, 256, (8, 12, 1), dtype=np.uint8), 3, axis=2)
         _, u, v = yuv_of(picture, (12, 8))
         assert u == pytest.approx(np.full((4, 6), 128), abs=1e-3)

@@ -69,10 +69,10 @@ def test_value(parse: Callable[[str], Any], text: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("parse", "text", "message"),
     [
-        (length, "8 miles", "'8 miles' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
-        (length, "-1mm", "'-1mm' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
-        (length, "nan", "'nan' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
-        (length, "", "'' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
+        (length, "8 miles", "'8 miles' is not a length; write 8mm, 1cm, 0.02m or a number of meters"),
+        (length, "-1mm", "'-1mm' is not a length; write 8mm, 1cm, 0.02m or a number of meters"),
+        (length, "nan", "'nan' is not a length; write 8mm, 1cm, 0.02m or a number of meters"),
+        (length, "", "'' is not a length; write 8mm, 1cm, 0.02m or a number of meters"),
         (positive_number, "inf", "'inf' is not a positive number"),
         (positive_number, "0", "'0' is not a positive number"),
         (positive_number, "fast", "'fast' is not a positive number"),
@@ -99,7 +99,7 @@ def test_value(parse: Callable[[str], Any], text: str, value: Any) -> None:
             "0.1..1",
             "'0.1..1' is not none, masks, motion, auto or depth:NEAR..FAR, such as depth:10cm..1.2m",
         ),
-        (segmentation, "depth:1..x", "'x' is not a length; write 8mm, 1cm, 0.02m or a number of metres"),
+        (segmentation, "depth:1..x", "'x' is not a length; write 8mm, 1cm, 0.02m or a number of meters"),
     ],
 )
 def test_wrong_form_is_a_usage_error(parse: Callable[[str], Any], text: str, message: str) -> None:

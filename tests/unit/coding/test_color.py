@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The colour transform against floats, and coding of colours."""
+"""The color transform against floats, and coding of colors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DEPTH = 5
 
 
 def surface(rng: np.random.Generator) -> tuple[Octree, NDArray[np.int16]]:
-    """Return a wavy sheet of cells and smooth colours with an edge."""
+    """Return a wavy sheet of cells and smooth colors with an edge."""
     x, y = np.meshgrid(np.arange(30), np.arange(30))
     z = np.round(10 + 3 * np.sin(x / 6) + 2 * np.cos(y / 5)).astype(int)
     codes = morton_codes(np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.int32), (0, 0, 0))
@@ -52,7 +52,7 @@ def coded(
     state: tuple[Octree, NDArray[np.int16]] | None = None,
     importance: NDArray[np.float32] | None = None,
 ) -> tuple[int, NDArray[np.int16]]:
-    """Return the size of coded colours and the colours both sides see."""
+    """Return the size of coded colors and the colors both sides see."""
     before, known = state or (empty(), NO_COLORS)
     writer = RangeWriter()
     decoded = code_cell_colors(writer, tree, colors, before, known, settings, importance=importance)
@@ -119,9 +119,9 @@ def test_integer_transform_matches_float_transform(rng: np.random.Generator) -> 
     cells = np.unique(rng.integers(8, size=(200, 3)), axis=0).astype(np.int32)
     codes = morton_codes(cells, (0, 0, 0))
     order = np.argsort(codes)
-    grey = rng.integers(0, 256, len(cells))
-    expected, _ = orthonormal_energy({(x, y, z): float(v) for (x, y, z), v in zip(cells.tolist(), grey, strict=True)})
-    sums, weights = (grey[order] << FRACTION_BITS)[:, None], np.ones(len(cells), dtype=np.int64)
+    gray = rng.integers(0, 256, len(cells))
+    expected, _ = orthonormal_energy({(x, y, z): float(v) for (x, y, z), v in zip(cells.tolist(), gray, strict=True)})
+    sums, weights = (gray[order] << FRACTION_BITS)[:, None], np.ones(len(cells), dtype=np.int64)
     energy, unit = 0.0, 1000 << FRACTION_BITS
     for level in reversed(Octree(codes[order], 3).levels):
         means, shares = sums / weights[:, None], weights
@@ -148,7 +148,7 @@ def test_integer_transform_matches_float_transform(rng: np.random.Generator) -> 
     assert energy == pytest.approx(expected, rel=1e-3)
 
 
-def test_fine_steps_give_the_colours_back(rng: np.random.Generator) -> None:
+def test_fine_steps_give_the_colors_back(rng: np.random.Generator) -> None:
     tree, colors = surface(rng)
     _, decoded = coded(tree, colors, ColorSettings(luma_step=0.5, chroma_step=0.5))
     assert np.abs(decoded - colors).max() <= 1
@@ -183,7 +183,7 @@ def test_bits_go_where_errors_count(rng: np.random.Generator) -> None:
     assert coded(tree, colors, settings)[0] == sizes[0]
 
 
-def test_plain_colour_costs_next_to_nothing(rng: np.random.Generator) -> None:
+def test_plain_color_costs_next_to_nothing(rng: np.random.Generator) -> None:
     tree, colors = surface(rng)
     plain = np.full_like(colors, 90)
     size, decoded = coded(tree, plain, ColorSettings(luma_step=16, chroma_step=16))
@@ -191,10 +191,10 @@ def test_plain_colour_costs_next_to_nothing(rng: np.random.Generator) -> None:
     assert np.abs(decoded - plain).max() <= 1
 
 
-def test_grey_has_no_chroma(rng: np.random.Generator) -> None:
+def test_gray_has_no_chroma(rng: np.random.Generator) -> None:
     tree, colors = surface(rng)
-    grey = np.repeat(colors[:, :1], 3, axis=1)
-    size, decoded = coded(tree, grey, ColorSettings(luma_step=8, grey=True))
+    gray = np.repeat(colors[:, :1], 3, axis=1)
+    size, decoded = coded(tree, gray, ColorSettings(luma_step=8, gray=True))
     assert np.all(decoded == decoded[:, :1])
     assert size < coded(tree, colors, ColorSettings(luma_step=8, chroma_step=8))[0]
 
@@ -221,7 +221,7 @@ def test_impossible_steps_are_refused(step: float) -> None:
 
 
 def test_settings_pass_through_the_payload() -> None:
-    for given in (ColorSettings(luma_step=23.99, chroma_step=36.0), ColorSettings(luma_step=8, grey=True)):
+    for given in (ColorSettings(luma_step=23.99, chroma_step=36.0), ColorSettings(luma_step=8, gray=True)):
         writer = RangeWriter()
         seen = given.code(writer)
         assert ColorSettings().code(RangeReader(writer.finish())) == seen

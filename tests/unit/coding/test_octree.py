@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Morton order, cubes, octrees and neighbourhoods against dictionaries of cells."""
+"""Morton order, cubes, octrees and neighborhoods against dictionaries of cells."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Backdrops: AVIF pictures of one grey plane."""
+"""Backdrops: AVIF pictures of one gray plane."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def scene(width: int, height: int) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize("size", [(64, 48), (63, 48), (64, 47), (33, 31), (1, 1), (2, 5)])
-@pytest.mark.parametrize("grey", [False, True])
-def test_any_size_comes_back(size: tuple[int, int], grey: bool) -> None:
+@pytest.mark.parametrize("gray", [False, True])
+def test_any_size_comes_back(size: tuple[int, int], gray: bool) -> None:
     wanted = scene(*size)
-    if grey:
+    if gray:
         wanted = np.repeat(wanted[..., :1], 3, axis=2)
-    payload = encode_picture(wanted, 90, grey)
-    got = decode_picture(payload, *size, grey)
+    payload = encode_picture(wanted, 90, gray)
+    got = decode_picture(payload, *size, gray)
     assert got.shape == wanted.shape
     assert got.dtype == np.uint8
     assert np.abs(got.astype(int) - wanted).mean() < 6

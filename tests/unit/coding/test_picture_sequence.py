@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs of grey pictures, predicted from each other."""
+"""Runs of gray pictures, predicted from each other."""
 
 from __future__ import annotations
 

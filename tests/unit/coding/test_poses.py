@@ -17,7 +17,7 @@ STEPS = 0.0005, 0.00025
 
 
 def walk(rng: np.random.Generator, count: int, jitter: float) -> NDArray[np.float64]:
-    """Return poses of a smooth motion far from the origin, with jitter in metres and radians."""
+    """Return poses of a smooth motion far from the origin, with jitter in meters and radians."""
     poses = []
     for k in range(count):
         turn = np.array([0.3, 2.0, -0.4]) + np.array([0.002, -0.01, 0.003]) * k + rng.normal(0, jitter, 3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The range coder against exact arithmetic, and its behaviour at the end of the data."""
+"""The range coder against exact arithmetic, and its behavior at the end of the data."""
 
 from __future__ import annotations
 

@@ -24,12 +24,12 @@ Cells = NDArray[np.int32]
 
 
 def tilted(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A wall about a metre away that grid and surface share no direction of."""
+    """A wall about a meter away that grid and surface share no direction of."""
     return np.asarray((points @ np.array([0.11, -0.07, 1.0]) - 0.013) / 1.01)
 
 
 def tilted_crossings(cells: Cells) -> NDArray[np.float32]:
-    """Where the wall passes along each axis from the centres of cells, in cells."""
+    """Where the wall passes along each axis from the centers of cells, in cells."""
     slopes = np.array([0.11, -0.07, 1.0]) / 1.01
     return np.asarray(-tilted((cells + 0.5) * CELL)[:, None] / slopes / CELL, dtype=np.float32)
 

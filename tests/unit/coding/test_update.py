@@ -43,7 +43,7 @@ def make_update(
 
 
 def plane(start: int, stop: int) -> tuple[Cells, Colors]:
-    """Return a strip of a tilted plane, in Morton order, and its colours."""
+    """Return a strip of a tilted plane, in Morton order, and its colors."""
     x, y = np.meshgrid(np.arange(start, stop), np.arange(-20, 20))
     cells = np.stack([x, y, (x + 2 * y) // 5], axis=-1).reshape(-1, 3).astype(np.int32)
     cells = cells[morton_order(cells)]

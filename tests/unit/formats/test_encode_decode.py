@@ -127,7 +127,7 @@ def test_other_sizes_show_the_same(stream: bytes, frames: list[DecodedFrame]) ->
     assert psnr(small.color, np.rint(halved).astype(np.uint8)) > 20
 
 
-def test_without_colour_depth_is_the_same(stream: bytes, frames: list[DecodedFrame]) -> None:
+def test_without_color_depth_is_the_same(stream: bytes, frames: list[DecodedFrame]) -> None:
     first = next(iter(decode(io.BytesIO(stream), what=frozenset({"depth"}), render=ONE_THREAD)))
     np.testing.assert_array_equal(first.depth, frames[0].depth)
     assert not first.color.any()
@@ -166,7 +166,7 @@ def test_a_camera_path_needs_poses(stream: bytes) -> None:
 
 def test_the_stream_describes_itself(stream: bytes, sequence: ListSequence) -> None:
     info = open_stream(io.BytesIO(stream)).info
-    assert (info.name, info.depth_scale, info.frame_count, info.grey) == ("objects", 1000.0, None, False)
+    assert (info.name, info.depth_scale, info.frame_count, info.gray) == ("objects", 1000.0, None, False)
     assert info.fps == pytest.approx(sequence.info.fps)
     assert info.rig.color == sequence.info.rig.color
     assert info.rig.registered
@@ -320,17 +320,17 @@ def test_a_file_is_closed_when_iteration_stops_early(stream: bytes, tmp_path: Pa
     path.unlink()
 
 
-def grey_pictures(count: int, shape: tuple[int, int]) -> list[NDArray[np.uint8]]:
+def gray_pictures(count: int, shape: tuple[int, int]) -> list[NDArray[np.uint8]]:
     rng = np.random.default_rng(1)
     return [np.repeat(rng.integers(0, 256, (*shape, 1), dtype=np.uint8), 3, axis=2) for _ in range(count)]
 
 
-def test_grey_input_gives_grey_pictures() -> None:
+def test_gray_input_gives_gray_pictures() -> None:
     small = SyntheticSequence(make_scene("objects", frames=2, size=(48, 36)), threads=1)
-    pictures = grey_pictures(2, small[0].depth.shape)
-    grey = [replace(frame, color=picture) for frame, picture in zip(small, pictures, strict=True)]
+    pictures = gray_pictures(2, small[0].depth.shape)
+    gray = [replace(frame, color=picture) for frame, picture in zip(small, pictures, strict=True)]
     sink = io.BytesIO()
-    encode(ListSequence(grey, replace(small.info, grey=True)), sink, FILE)
+    encode(ListSequence(gray, replace(small.info, gray=True)), sink, FILE)
     for frame in decode(io.BytesIO(sink.getvalue()), render=ONE_THREAD):
         np.testing.assert_array_equal(frame.color[..., 0], frame.color[..., 1])
         np.testing.assert_array_equal(frame.color[..., 0], frame.color[..., 2])

@@ -43,14 +43,14 @@ def test_rays_lead_back_to_their_pixels(camera: Camera) -> None:
 
 
 @CAMERAS
-def test_pixels_between_centres(camera: Camera, rng: np.random.Generator) -> None:
+def test_pixels_between_centers(camera: Camera, rng: np.random.Generator) -> None:
     pixels = rng.uniform((100, 80), (540, 400), (3, 5, 2))
     slopes = camera.unproject_pixels(pixels)
     assert slopes.shape == (3, 5, 2)
     np.testing.assert_allclose(camera.project(np.concatenate([slopes, np.ones((3, 5, 1))], axis=-1)), pixels, atol=1e-6)
 
 
-def test_the_first_pixel_centre_is_the_origin() -> None:
+def test_the_first_pixel_center_is_the_origin() -> None:
     camera = Camera(width=3, height=2, fx=2.0, fy=4.0, cx=1.0, cy=0.5)
     np.testing.assert_array_equal(camera.rays()[0, 0], [-0.5, -0.125])
     np.testing.assert_array_equal(camera.project(np.array([0.0, 0.0, 7.0])), [1.0, 0.5])

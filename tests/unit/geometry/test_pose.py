@@ -18,6 +18,7 @@ from threedvc.geometry.pose import (
     make_pose,
     nearest_rotation,
     quaternion,
+    rigid_fit,
     rotation_angle,
     rotation_from_quaternion,
     rotation_from_vector,
@@ -98,3 +99,11 @@ def test_adjoint_takes_a_small_motion_to_another_frame() -> None:
 def test_nearest_rotation_is_no_mirror() -> None:
     np.testing.assert_allclose(nearest_rotation(3.0 * QUARTER_Z), QUARTER_Z, atol=1e-12)
     assert np.linalg.det(nearest_rotation(np.diag([3.0, 2.0, -1.0]))) == pytest.approx(1)
+
+
+def test_a_fit_finds_the_transform_and_never_mirrors() -> None:
+    rng = np.random.default_rng(0)
+    wanted = make_pose(QUARTER_Z, np.array([1.0, -2.0, 0.5]))
+    points = rng.normal(0, 1, (10, 3)) * [1, 1, 1e-4]
+    np.testing.assert_allclose(rigid_fit(points, points @ wanted[:3, :3].T + wanted[:3, 3]), wanted, atol=1e-6)
+    assert np.linalg.det(rigid_fit(points, points * [1, 1, -1])[:3, :3]) == pytest.approx(1)

@@ -74,7 +74,7 @@ class TestColor:
 
 class TestDepthUnits:
     @pytest.mark.parametrize("scale", [1000.0, 5000.0, 8192.0])
-    def test_every_value_of_a_picture_survives_metres(self, scale: float) -> None:
+    def test_every_value_of_a_picture_survives_meters(self, scale: float) -> None:
         units = np.arange(1, 65535, dtype=np.uint16)
         assert np.array_equal(depth_units((units / scale).astype(np.float32), scale), units)
 

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_angle, rotation_from_vector
 from threedvc.metrics.trajectory import (
-    aligning_pose,
     angles_between,
     mean_pose,
     object_pose_error,
@@ -80,13 +79,6 @@ class TestTrajectory:
         error = trajectory_error(walk, [moved @ pose for pose in walk])
         assert (error.ate_rmse_mm, error.ate_max_mm, error.rpe_translation_mm) == pytest.approx((0, 0, 0), abs=1e-6)
         assert error.rpe_rotation_deg == pytest.approx(0, abs=1e-5)
-
-    def test_alignment_finds_the_transform_and_never_mirrors(self, rng: np.random.Generator) -> None:
-        wanted = some_pose(rng)
-        points = rng.normal(0, 1, (10, 3)) * [1, 1, 1e-4]
-        found = aligning_pose(points @ wanted[:3, :3].T + wanted[:3, 3], points)
-        assert np.allclose(found, wanted, atol=1e-6)
-        assert np.linalg.det(aligning_pose(points * [1, 1, -1], points)[:3, :3]) == pytest.approx(1)
 
     def test_scale_is_an_error(self) -> None:
         line = [make_pose(np.eye(3), np.array([0.1 * k, 0, 0])) for k in range(3)]

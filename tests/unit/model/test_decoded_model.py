@@ -86,8 +86,8 @@ def test_an_empty_update_changes_nothing() -> None:
         "one of two added twice",
         "removed empty",
         "removed absent",
-        "recoloured empty",
-        "recoloured absent",
+        "recolored empty",
+        "recolored absent",
     ],
 )
 def test_an_update_that_does_not_fit_leaves_the_model(wrong: ModelUpdate) -> None:

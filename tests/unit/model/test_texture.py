@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Texels: which there are, their colours as payload, how they are drawn."""
+"""Texels: which there are, their colors as payload, how they are drawn."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ def test_texels_lie_about_the_plane() -> None:
 
 
 @pytest.mark.parametrize("scale", [2, 4])
-def test_colours_pass_through_their_payload(scale: int) -> None:
+def test_colors_pass_through_their_payload(scale: int) -> None:
     model = textured(scale, wall())
     texels = model.uncolored_texels()
     payload, decoded = encode_texture(model, texels, stripes(texels), FINE)
     np.testing.assert_array_equal(decode_texture(payload, model, texels), decoded)
-    # The mean of a cell is its own colour; only what its texels differ by is coded.
+    # The mean of a cell is its own color; only what its texels differ by is coded.
     owners = model.index.locate(texels // scale)
     count = np.maximum(np.bincount(owners), 1)
     means = [np.bincount(owners, each[:, 0]) / count for each in (decoded, stripes(texels))]

@@ -16,7 +16,7 @@ LENS = Camera(width=40, height=30, fx=36.0, fy=35.0, cx=19.5, cy=14.5, distortio
 
 
 def plane_before(camera: Camera, T_camera_scene: Pose) -> NDArray[np.uint16]:
-    """Raw depths in tenths of a millimetre of the plane z = 2 + 0.2 x of the scene."""
+    """Raw depths in tenths of a millimeter of the plane z = 2 + 0.2 x of the scene."""
     normal, offset = np.array([-0.2, 0.0, 1.0]), 2.0
     rotation, t = T_camera_scene[:3, :3], T_camera_scene[:3, 3]
     turned = rotation @ normal

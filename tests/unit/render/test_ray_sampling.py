@@ -83,8 +83,8 @@ def test_an_edge_keeps_its_pixels(slope: float) -> None:
     true = np.where(near, np.float32(1.0), np.float32(1.0 + 2 * MAX_DEPTH_STEP))
     drawn = Sampling(rays, true)
     np.testing.assert_array_equal(drawn.depth, true)
-    labelled = Sampling(rays, np.ones_like(true), np.where(near, 1, 2).astype(np.uint8))
-    np.testing.assert_array_equal(labelled.labels, np.where(near, 1, 2))
+    labeled = Sampling(rays, np.ones_like(true), np.where(near, 1, 2).astype(np.uint8))
+    np.testing.assert_array_equal(labeled.labels, np.where(near, 1, 2))
 
 
 def test_along_an_edge_only_every_second_pair_is_cast() -> None:

@@ -64,7 +64,7 @@ def points_of(depth: NDArray[np.float32], camera: Camera, pose: Pose) -> Floats:
 
 
 def inside_of(depth: Floats, pixels: int = 2) -> NDArray[np.bool_]:
-    """Return the pixels whose neighbourhood is all hit and within the picture."""
+    """Return the pixels whose neighborhood is all hit and within the picture."""
     hit = cv2.copyMakeBorder((depth > 0).astype(np.uint8), *[pixels] * 4, cv2.BORDER_CONSTANT, value=0)
     return cv2.erode(hit, np.ones((2 * pixels + 1,) * 2, np.uint8))[pixels:-pixels, pixels:-pixels] > 0
 
@@ -112,7 +112,7 @@ def test_outlines_are_neither_fat_nor_lean(shape: str, view: str) -> None:
     inner = cv2.erode(true.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     rim = np.count_nonzero(true & ~inner) * CELL * CAMERA.fx / away
     assert np.count_nonzero(shown & ~true) <= 0.2 * rim
-    # Edges of boxes are a little bevelled.
+    # Edges of boxes are a little beveled.
     assert np.count_nonzero(true & ~shown) <= (0.5 if shape == "box" else 0.2) * rim
 
 
@@ -209,7 +209,7 @@ def test_any_resolution_shows_the_same_thing(size: tuple[int, int]) -> None:
     assert np.quantile(error, 0.95) < 0.6 * CELL
 
 
-def test_colours_are_those_of_the_cells() -> None:
+def test_colors_are_those_of_the_cells() -> None:
     cells = surface_cells(ball, CELL, 0.45)
     colors = np.full((len(cells), 3), (200, 30, 90), dtype=np.int16)
     picture = drawn(ready(model_of_cells(cells, CELL, colors)), AHEAD)
@@ -217,7 +217,7 @@ def test_colours_are_those_of_the_cells() -> None:
     assert np.all(picture.color[seen] == (200, 30, 90))
 
 
-def test_colours_between_cells_are_interpolated() -> None:
+def test_colors_between_cells_are_interpolated() -> None:
     side = np.arange(-25, 25)
     x, y = np.meshgrid(side, side)
     cells = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(np.int32)
@@ -228,7 +228,7 @@ def test_colours_between_cells_are_interpolated() -> None:
     np.testing.assert_allclose(picture.color[v, u, 1], expected, atol=1.5)
 
 
-def test_colours_out_of_range_are_clamped() -> None:
+def test_colors_out_of_range_are_clamped() -> None:
     cells = surface_cells(ball, CELL, 0.45)
     for value, shown in ((-40, 0), (300, 255)):
         colors = np.full((len(cells), 3), value, dtype=np.int16)

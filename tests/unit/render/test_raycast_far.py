@@ -45,7 +45,7 @@ def scattered() -> DecodedModel:
 
 
 def drawn(model: DecodedModel, away: float, threads: int = 1, focal: float = 1200.0) -> Picture:
-    """Draw a model `away` metres before a camera whose picture shows it at the same size from everywhere."""
+    """Draw a model `away` meters before a camera whose picture shows it at the same size from everywhere."""
     shown = RenderModel(model)
     shown.refresh(threads)
     f = focal * away

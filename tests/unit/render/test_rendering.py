@@ -185,7 +185,7 @@ def test_rays_are_1_to_4(value: float) -> None:
         RenderConfig(supersample=value)  # type: ignore[arg-type]
 
 
-def test_without_colour_the_picture_is_black(ball_cells: NDArray[np.int32], wall_cells: NDArray[np.int32]) -> None:
+def test_without_color_the_picture_is_black(ball_cells: NDArray[np.int32], wall_cells: NDArray[np.int32]) -> None:
     models, poses = two_objects(ball_cells, wall_cells)
     for rig in (RIG, RIGS["two cameras"]):
         renderer = Renderer(rig, RenderConfig(threads=1))
@@ -203,8 +203,8 @@ def test_each_camera_sees_from_its_own_place(ball_cells: NDArray[np.int32], wall
     poses = {0: at(0, 0, 1.8), 1: at(0, 0, 1.0)}
     picture = Renderer(rig, RenderConfig(threads=1)).draw(models, poses)
     columns = np.arange(64)
-    bright, labelled = (picture.color[..., 0] > 150).sum(axis=0), (picture.labels == 1).sum(axis=0)
-    shift = (bright @ columns) / bright.sum() - (labelled @ columns) / labelled.sum()
+    bright, labeled = (picture.color[..., 0] > 150).sum(axis=0), (picture.labels == 1).sum(axis=0)
+    shift = (bright @ columns) / bright.sum() - (labeled @ columns) / labeled.sum()
     # The ball's own parallax, a little less for its nearer front.
     assert shift == pytest.approx(60 * 0.2 / 1.0, rel=0.1)
     moved = Renderer(RIG, RenderConfig(threads=1)).draw(
@@ -213,7 +213,7 @@ def test_each_camera_sees_from_its_own_place(ball_cells: NDArray[np.int32], wall
     np.testing.assert_array_equal(picture.color, moved.color)
 
 
-def test_a_pixel_no_ray_of_which_hits_takes_its_colour_from_around(ball_cells: NDArray[np.int32]) -> None:
+def test_a_pixel_no_ray_of_which_hits_takes_its_color_from_around(ball_cells: NDArray[np.int32]) -> None:
     models = {1: colored(ball_cells, (200, 100, 50))}
     picture = Renderer(RIG, RenderConfig(threads=1)).draw(models, {1: at(0, 0, 1)})
     assert np.all(picture.depth[0] == 0)
@@ -336,7 +336,7 @@ def test_a_turn_of_everything_turns_the_picture(ball_cells: NDArray[np.int32], w
     np.testing.assert_allclose(inverse(upside_down) @ upside_down, np.eye(4), atol=1e-12)
 
 
-def test_colours_are_rounded_after_gain_and_offset() -> None:
+def test_colors_are_rounded_after_gain_and_offset() -> None:
     rng = np.random.default_rng(3)
     values = rng.uniform(-40, 300, (12, 9, 3)).astype(np.float32)[::2, ::-1]
     gain, offset = np.array([1, 0.8, 1.3], np.float32), np.array([0, -7.5, 4], np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colours that models get from the pictures of a video."""
+"""Colors that models get from the pictures of a video."""
 
 from __future__ import annotations
 

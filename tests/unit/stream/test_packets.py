@@ -37,7 +37,7 @@ HEADERS: list[Header] = [
         depth_camera=CAMERA,
         T_color_depth=EXTRINSIC,
         start_ns=-5,
-        grey=True,
+        gray=True,
         given_world=True,
         name="küche 300",
     ),

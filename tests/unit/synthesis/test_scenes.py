@@ -64,13 +64,13 @@ def test_depth_and_labels_equal_the_reference(index: int) -> None:
     assert set(np.unique(labels)) == {0, 3, 7}
 
 
-def test_colour_equals_the_reference() -> None:
+def test_color_equals_the_reference() -> None:
     scene = plain_scene(CAMERA)
     color = SceneRenderer(scene).color(1)
     np.testing.assert_allclose(color, reference.plain_color(scene, 1), atol=0.51)
 
 
-def test_ray_that_meets_nothing_has_no_depth_and_no_colour() -> None:
+def test_ray_that_meets_nothing_has_no_depth_and_no_color() -> None:
     scene = replace(plain_scene(CAMERA), background=(), bodies=())
     with_one = replace(scene, background=plain_scene(CAMERA).background[1:2])
     picture = SceneRenderer(with_one).picture(0)
@@ -79,7 +79,7 @@ def test_ray_that_meets_nothing_has_no_depth_and_no_colour() -> None:
     assert (picture.depth > 0).any()
 
 
-def test_colour_and_depth_camera_may_differ() -> None:
+def test_color_and_depth_camera_may_differ() -> None:
     lens = Camera(width=30, height=20, fx=25, fy=25, cx=14, cy=9, distortion=(-0.05, 0.01, 0.001, -0.002, 0.0))
     T_color_depth = make_pose(rotation_from_vector(np.array([0.01, -0.02, 0.03])), np.array([-0.025, 0.001, 0.002]))
     scene = plain_scene(CAMERA)
@@ -140,7 +140,7 @@ def test_points_warped_by_the_poses_land_on_the_surface(name: str, first: int, s
     assert (depth < seen * 0.98).mean() < 0.03
 
 
-def test_colours_of_a_still_scene_do_not_depend_on_the_viewpoint() -> None:
+def test_colors_of_a_still_scene_do_not_depend_on_the_viewpoint() -> None:
     scene = make_scene("room", size=(200, 150))
     source, target = SyntheticSequence(scene)[10], SyntheticSequence(scene)[13]
     camera = scene.rig.depth
@@ -230,7 +230,7 @@ def test_motion_is_smooth() -> None:
 def test_depth_threshold_separates_the_papers_object_in_every_frame() -> None:
     scene = make_scene("paper", size=(50, 50))
     sequence = SyntheticSequence(scene)
-    assert (len(sequence), sequence.info.grey) == (150, True)
+    assert (len(sequence), sequence.info.gray) == (150, True)
     renderer = SceneRenderer(scene)
     for index in range(len(sequence)):
         depth, labels = renderer.depth(index)
@@ -249,7 +249,7 @@ def test_threshold_holds_for_other_seeds(seed: int) -> None:
         assert farthest < PAPER_THRESHOLD_M
 
 
-def test_paper_frames_are_grey_and_eight_bit_100x100() -> None:
+def test_paper_frames_are_gray_and_eight_bit_100x100() -> None:
     frame = SyntheticSequence(make_scene("paper"))[0]
     assert frame.color.shape == (100, 100, 3)
     assert frame.color.dtype == np.uint8

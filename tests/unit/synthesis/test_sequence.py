@@ -15,7 +15,7 @@ from threedvc.formats.sources.opening import open_sequence
 from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.synthesis import SCENES as CORE_SCENES
 from threedvc.synthesis import Noise, SyntheticSequence, make_scene, shapes, textures
-from threedvc.synthesis.noise import depth_edges, kinect_depth, quantised_depth
+from threedvc.synthesis.noise import depth_edges, kinect_depth, quantized_depth
 from threedvc.synthesis.renderer import SceneRenderer
 from threedvc.synthesis.scene import Scene
 from threedvc.synthesis.shapes import Part, at
@@ -46,7 +46,7 @@ def test_sequence_reads_like_a_list_and_more_than_once() -> None:
         sequence[3]
 
 
-def test_ideal_depth_is_exact_to_half_a_millimetre() -> None:
+def test_ideal_depth_is_exact_to_half_a_millimeter() -> None:
     sequence = SyntheticSequence(make_scene("room", frames=2, size=(40, 30)))
     frame, exact = sequence[1], sequence.picture(1)
     assert frame.depth.dtype == np.float32
@@ -56,7 +56,7 @@ def test_ideal_depth_is_exact_to_half_a_millimetre() -> None:
 
 
 def test_depth_beyond_16_bits_is_no_measurement() -> None:
-    np.testing.assert_array_equal(quantised_depth(np.array([[0.0, 1.2344, 65.535, 65.536]]), 1000.0)[0],
+    np.testing.assert_array_equal(quantized_depth(np.array([[0.0, 1.2344, 65.535, 65.536]]), 1000.0)[0],
                                   np.array([0, 1.234, 65.535, 0], np.float32))  # fmt: skip
 
 
@@ -153,7 +153,7 @@ def test_command_writes_what_the_sequence_holds(name: str, tmp_path: Path) -> No
     written = open_sequence(folder)
     assert len(written) == 3
     assert written.info.rig.color == expected.info.rig.color
-    assert written.info.grey == expected.info.grey
+    assert written.info.gray == expected.info.gray
     for want, got in zip(expected, written, strict=True):
         assert got.timestamp_ns == want.timestamp_ns
         np.testing.assert_array_equal(got.color, want.color)

@@ -151,7 +151,7 @@ RED, BLUE = (200, 40, 30), (20, 60, 180)
 
 
 @pytest.mark.parametrize("make", [textures.noise, textures.marble, textures.wood, textures.patches])
-def test_solid_patterns_mix_two_colours(make, rng: np.random.Generator) -> None:  # type: ignore[no-untyped-def]
+def test_solid_patterns_mix_two_colors(make, rng: np.random.Generator) -> None:  # type: ignore[no-untyped-def]
     points = rng.uniform(-1, 1, (400, 3))
     texture = make(RED, BLUE, 0.1, 4)
     pure = colors_at(textures.Texture(pattern=texture.pattern, colors=(RED, BLUE), scale_m=(0.1, 0.1), seed=4), points)

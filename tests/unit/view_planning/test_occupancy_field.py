@@ -20,7 +20,7 @@ EVERYTHING = np.ones((18, 24), dtype=bool)
 
 
 def field_of(cell_m: float = 0.1, threads: int = 1) -> OccupancyField:
-    """Return a box of 2 x 2 x 3 metres before a camera at the origin."""
+    """Return a box of 2 x 2 x 3 meters before a camera at the origin."""
     return OccupancyField(
         np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 3.0]), finest_m=cell_m, half_m=0.5, threads=threads
     )
@@ -144,7 +144,7 @@ def test_where_a_camera_was_is_free() -> None:
     assert np.linalg.norm(free, axis=1).max() < 0.3 + 0.1 * np.sqrt(3)
 
 
-def test_cells_and_their_centres() -> None:
+def test_cells_and_their_centers() -> None:
     field = field_of()
     numbers = np.array([0, 77, 5000, 11999])
     assert np.array_equal(field.cells_at(field.centers(numbers)), numbers)

@@ -37,7 +37,7 @@ LOG_LEVEL: Final = "SVT_LOG", "0"
 """Variable of the environment by which the encoder's own messages are left out: errors are told by PyAV, too."""
 PIXEL_FORMATS: Final = {8: "yuv420p", 10: "yuv420p10le"}
 """By bits of a sample."""
-GREY_PIXEL_FORMATS: Final = {8: "gray", 10: "gray10le"}
+GRAY_PIXEL_FORMATS: Final = {8: "gray", 10: "gray10le"}
 FRAME_RATE: Final = 30
 """That the encoder is told: without a rate to keep it means nothing."""
 SETTINGS: Final = "keyint=-1:tune=1:enable-dlf=2:scm=0:film-grain=0"
@@ -52,7 +52,7 @@ class Av1Settings:
     Attributes
     ----------
     crf
-        Quantisation from 1 to 70 in quarters, the finest first; about six more halve the bytes.
+        Quantization from 1 to 70 in quarters, the finest first; about six more halve the bytes.
     preset
         Work from 0, the most, to 13.
     threads
@@ -154,7 +154,7 @@ def decode_av1(payload: bytes, count: int, video: VideoFormat) -> Iterator[Plane
     found = read_sequence_header(header)
     if len(pictures) != count:
         raise CorruptStream(f"a video of {len(pictures)} pictures should be one of {count}; the stream is damaged")
-    expected = SequenceFormat(_coded(video.width), _coded(video.height), video.bits, found.grey, False)
+    expected = SequenceFormat(_coded(video.width), _coded(video.height), video.bits, found.gray, False)
     if found != expected:
         raise CorruptStream(
             f"a video of {found.width}x{found.height} samples of {found.bits} bits should have {expected.width}x"
@@ -163,7 +163,7 @@ def decode_av1(payload: bytes, count: int, video: VideoFormat) -> Iterator[Plane
     name = _decoder_name()
     if name is None:
         raise UnsupportedVersion("this build of PyAV cannot read AV1; install av 14 or newer with libdav1d")
-    return _decoded(name, pictures, video, found.grey)
+    return _decoded(name, pictures, video, found.gray)
 
 
 def _coded(side: int) -> int:
@@ -171,7 +171,7 @@ def _coded(side: int) -> int:
     return max(side + side % 2, MIN_SIDE)
 
 
-def _decoded(name: str, pictures: list[bytes], video: VideoFormat, grey: bool) -> Iterator[Planes]:
+def _decoded(name: str, pictures: list[bytes], video: VideoFormat, gray: bool) -> Iterator[Planes]:
     context: Any = av.CodecContext.create(name, "r")
     context.thread_count = DECODER_THREADS
     count = 0
@@ -179,7 +179,7 @@ def _decoded(name: str, pictures: list[bytes], video: VideoFormat, grey: bool) -
         for data in [*pictures, None]:
             for frame in context.decode(None if data is None else av.Packet(data)):
                 count += 1
-                yield _planes(frame, video, grey)
+                yield _planes(frame, video, gray)
     except FFmpegError as error:
         raise CorruptStream(
             f"picture {count} of a video cannot be decoded ({error.strerror}); the stream is damaged"
@@ -188,9 +188,9 @@ def _decoded(name: str, pictures: list[bytes], video: VideoFormat, grey: bool) -
         raise CorruptStream(f"{count} of {len(pictures)} pictures of a video can be decoded; the stream is damaged")
 
 
-def _planes(frame: av.VideoFrame, video: VideoFormat, grey: bool) -> Planes:
+def _planes(frame: av.VideoFrame, video: VideoFormat, gray: bool) -> Planes:
     """Return copies of the samples of a decoded picture."""
-    formats = GREY_PIXEL_FORMATS if grey else PIXEL_FORMATS
+    formats = GRAY_PIXEL_FORMATS if gray else PIXEL_FORMATS
     size = _coded(video.width), _coded(video.height)
     if (frame.width, frame.height) != size or frame.format.name != formats[video.bits]:
         raise CorruptStream(

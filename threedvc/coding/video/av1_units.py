@@ -37,7 +37,7 @@ class SequenceFormat(NamedTuple):
         Size.
     bits
         Of a sample: 8 or 10.
-    grey
+    gray
         Whether there is luma alone; else chroma has half the rows and columns.
     grain
         Whether a decoder is to add noise, which no two do alike.
@@ -46,7 +46,7 @@ class SequenceFormat(NamedTuple):
     width: int
     height: int
     bits: int
-    grey: bool
+    gray: bool
     grain: bool
 
 
@@ -146,13 +146,13 @@ def read_sequence_header(body: bytes) -> SequenceFormat:
     across, down = bits.take(4) + 1, bits.take(4) + 1
     width, height = bits.take(across) + 1, bits.take(down) + 1
     _pass_tools(bits)
-    high, grey = bits.take(1), bits.take(1)
+    high, gray = bits.take(1), bits.take(1)
     if bits.take(1):  # primaries, transfer and matrix, which mean nothing here
         bits.take(24)
     bits.take(1)  # range
-    if not grey:
+    if not gray:
         bits.take(3)  # place of chroma, separate steps
-    return SequenceFormat(width, height, 10 if high else 8, bool(grey), bool(bits.take(1)))
+    return SequenceFormat(width, height, 10 if high else 8, bool(gray), bool(bits.take(1)))
 
 
 def _pass_tools(bits: _Bits) -> None:

@@ -2,7 +2,7 @@
 """Runs of pictures without loss, as FFV1 version 3 (RFC 9043), written and read by PyAV.
 
 A payload holds the configuration record and then every picture, each after its size less 1. How often values occurred
-is learnt from picture to picture; nothing else goes from one to the next. A payload does not depend on the number of
+is learned from picture to picture; nothing else goes from one to the next. A payload does not depend on the number of
 threads.
 """
 
@@ -31,8 +31,8 @@ __all__ = ["EXACT_BITS", "can_decode_ffv1", "can_encode_ffv1", "decode_ffv1", "e
 CODEC: Final = "ffv1"
 EXACT_BITS: Final = 8
 """Of a sample: those of pictures as they are read."""
-COLOR_FORMAT, GREY_FORMAT = "bgr0", "gray"
-"""Names of the layouts of samples: blue, green, red and a byte without meaning; grey alone."""
+COLOR_FORMAT, GRAY_FORMAT = "bgr0", "gray"
+"""Names of the layouts of samples: blue, green, red and a byte without meaning; gray alone."""
 SETTINGS: Final = {"level": "3", "coder": "1", "context": "1", "slicecrc": "1", "g": str(MAX_COUNT)}
 """Of the encoder: the range coder, large contexts, checksums of slices, and no key frame but the first. Golomb codes
 take 8 to 11 % more bytes in 0.7 of the time, small contexts 1 to 2 % more in 0.8, and these with key frames alone 4 to
@@ -72,7 +72,7 @@ def _has_codec(mode: Any) -> bool:
 
 
 def encode_ffv1(pictures: Iterable[Picture], video: VideoFormat, threads: int) -> bytes:
-    """Return the payload of a run of pictures (h, w, 3) uint8, of which only red counts if the video is grey.
+    """Return the payload of a run of pictures (h, w, 3) uint8, of which only red counts if the video is gray.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def encode_ffv1(pictures: Iterable[Picture], video: VideoFormat, threads: int) -
 
 
 def _layout(video: VideoFormat) -> str:
-    return GREY_FORMAT if video.grey else COLOR_FORMAT
+    return GRAY_FORMAT if video.gray else COLOR_FORMAT
 
 
 def _slice_count(video: VideoFormat) -> int:
@@ -120,14 +120,14 @@ def _frame(picture: Picture, video: VideoFormat, number: int) -> av.VideoFrame:
     frame = av.VideoFrame(video.width, video.height, _layout(video))
     frame.pts = number
     samples = _samples(frame, video)
-    samples[:] = picture[..., 0] if video.grey else cv2.cvtColor(picture, cv2.COLOR_RGB2BGRA)
+    samples[:] = picture[..., 0] if video.gray else cv2.cvtColor(picture, cv2.COLOR_RGB2BGRA)
     return frame
 
 
 def _samples(frame: Any, video: VideoFormat) -> NDArray[np.uint8]:
-    """Return the samples of a frame in its own memory, (h, w) of a grey one and else (h, w, 4)."""
+    """Return the samples of a frame in its own memory, (h, w) of a gray one and else (h, w, 4)."""
     rows = np.frombuffer(frame.planes[0], dtype=np.uint8).reshape(video.height, -1)
-    return rows[:, : video.width] if video.grey else rows[:, : 4 * video.width].reshape(video.height, -1, 4)
+    return rows[:, : video.width] if video.gray else rows[:, : 4 * video.width].reshape(video.height, -1, 4)
 
 
 def decode_ffv1(payload: bytes, count: int, video: VideoFormat) -> Iterator[Picture]:
@@ -202,5 +202,5 @@ def _picture(frame: Any, video: VideoFormat) -> Picture:
             f"a picture of a video has {frame.width}x{frame.height} samples ({frame.format.name}) instead of "
             f"{video.width}x{video.height} ({_layout(video)}); the stream is damaged"
         )
-    order = cv2.COLOR_GRAY2RGB if video.grey else cv2.COLOR_BGRA2RGB
+    order = cv2.COLOR_GRAY2RGB if video.gray else cv2.COLOR_BGRA2RGB
     return np.asarray(cv2.cvtColor(_samples(frame, video), order), dtype=np.uint8)

@@ -71,7 +71,7 @@ class VideoFormat:
         Of a sample, 8 or 10; a level has 1 or 4 units.
     magnified
         Chroma is 1 + magnified/4 times as large as its formula says.
-    grey
+    gray
         Whether chroma means nothing.
     """
 
@@ -79,7 +79,7 @@ class VideoFormat:
     height: int
     bits: int
     magnified: int = 0
-    grey: bool = False
+    gray: bool = False
 
     @property
     def chroma_shape(self) -> tuple[int, int]:
@@ -89,7 +89,7 @@ class VideoFormat:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CapturedColor:
-    """The colour of one frame as it was captured."""
+    """The color of one frame as it was captured."""
 
     planes: Planes
     video: VideoFormat
@@ -101,7 +101,7 @@ class CapturedColor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExactColor:
-    """The colour (h, w, 3) uint8 of one frame as it was captured, without loss."""
+    """The color (h, w, 3) uint8 of one frame as it was captured, without loss."""
 
     picture: Picture
 
@@ -110,14 +110,14 @@ class ExactColor:
         rows, columns, _ = self.picture.shape
         if (rows, columns) == (height, width):
             return self.picture
-        video = VideoFormat(width=columns, height=rows, bits=8, grey=True)
+        video = VideoFormat(width=columns, height=rows, bits=8, gray=True)
         flat = np.zeros(video.chroma_shape, dtype=np.uint16)
         each = (Planes(channel.astype(np.uint16), flat, flat) for channel in np.moveaxis(self.picture, -1, 0))
         return np.stack([picture_of(planes, video, width, height, threads)[..., 0] for planes in each], axis=-1)
 
 
 ShownColor: TypeAlias = CapturedColor | ExactColor
-"""The colour of one frame as it was captured, or nearly."""
+"""The color of one frame as it was captured, or nearly."""
 
 
 def spare_magnification(picture: Picture) -> int:
@@ -132,7 +132,7 @@ def planes_of(picture: Picture, video: VideoFormat) -> Planes:
     """Return the samples of a picture, which may be larger than the video: each is the mean of what it covers."""
     red, green, blue = np.moveaxis(picture.astype(np.float32), -1, 0)
     luma = _shrunk((red + 2 * green + blue) / 4, video.height, video.width)
-    if video.grey:
+    if video.gray:
         flat = np.full(video.chroma_shape, 1 << (video.bits - 1), dtype=np.uint16)
         return Planes(_sampled(luma, video.bits), flat, flat)
     larger, middle = np.float32(1 + video.magnified / 4), np.float32(128)
@@ -166,7 +166,7 @@ def picture_of(planes: Planes, video: VideoFormat, width: int, height: int, thre
     across_chroma, down_chroma = _taps(width, video.width, half=True), _taps(height, video.height, half=True)
     luma = _stretched(planes.luma, across, threads)
     picture = np.empty((height, width, 3), dtype=np.uint8)
-    if video.grey:
+    if video.gray:
         flat = np.full(planes.orange.shape, 1 << (video.bits - 1), dtype=np.uint16)
         planes = Planes(planes.luma, flat, flat)
     orange, green = (_stretched(plane, across_chroma, threads) for plane in (planes.orange, planes.green))

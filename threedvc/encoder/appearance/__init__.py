@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Colours, light and background fitted to the pictures as the decoder will draw them."""
+"""Colors, light and background fitted to the pictures as the decoder will draw them."""

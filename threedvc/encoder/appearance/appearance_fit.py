@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Fit a finished scene to the pictures that the decoder will draw of it: colours, gains, light, poses.
+"""Fit a finished scene to the pictures that the decoder will draw of it: colors, gains, light, poses.
 
-`align_poses` moves the camera to where the drawn pictures fit colour and depth best, `align_pictures` the colour
+`align_poses` moves the camera to where the drawn pictures fit color and depth best, `align_pictures` the color
 pictures alone; when the frames are fused anew at these poses, `fit_appearance` fits what else the stream carries.
 `threedvc.encoder.appearance.color_field` has the mathematics.
 """
@@ -33,7 +33,7 @@ from threedvc.geometry.pose import Pose
 __all__ = ["FittedAppearance", "align_pictures", "align_poses", "fit_appearance", "fit_geometry"]
 
 COLORLESS = 128
-"""The grey of cells that have no colours of their own."""
+"""The gray of cells that have no colors of their own."""
 MIN_ALIGNMENT_SAVING = 0.02
 """Share of the squared error that other poses must save: exact ones are not to be moved by the noise of the fit."""
 
@@ -45,25 +45,25 @@ class FittedAppearance:
     Attributes
     ----------
     surfaces
-        Surface of every object with the fitted colours, by number, and the inferred one. The error of a colour counts
+        Surface of every object with the fitted colors, by number, and the inferred one. The error of a color counts
         as the frames show the cell.
     colors
-        Colours of the texels, and the light on objects.
+        Colors of the texels, and the light on objects.
     gains
-        (frames, 3, 2) units of the colour camera's gains, see `threedvc.coding.gains`.
+        (frames, 3, 2) units of the color camera's gains, see `threedvc.coding.gains`.
     shifts
-        T_shifted_camera of every frame: how the camera moved between depth and colour picture.
+        T_shifted_camera of every frame: how the camera moved between depth and color picture.
     backdrop
         The picture of a background at rest before a camera at rest, or None.
     depths
         The depth picture of such a background, if it takes less than its cells do and is no worse; or None.
     inferred
-        Number of the object of inferred cells, and their edge in metres; None where little depth is missing.
+        Number of the object of inferred cells, and their edge in meters; None where little depth is missing.
     pixels_per_cell
-        How many pixels of a frame show a coloured cell, on an average over all frames; without those of a
+        How many pixels of a frame show a colored cell, on an average over all frames; without those of a
         background that has a backdrop, unless there is nothing else.
     colorless
-        Whether cells have no colours of their own: a video shows them.
+        Whether cells have no colors of their own: a video shows them.
     """
 
     surfaces: dict[int, Surface]
@@ -78,9 +78,9 @@ class FittedAppearance:
 
 
 def align_poses(scene: Scene, frames: FrameSequence, rounds: int) -> PoseTracks:
-    """Return where every object is in every frame, as fits colour and depth.
+    """Return where every object is in every frame, as fits color and depth.
 
-    Poses are aligned `rounds` times, each time against colours fitted at the poses before. They stay as they are
+    Poses are aligned `rounds` times, each time against colors fitted at the poses before. They stay as they are
     unless the pictures fit better otherwise.
     """
     state = FitState(scene, frames)
@@ -92,7 +92,7 @@ def align_poses(scene: Scene, frames: FrameSequence, rounds: int) -> PoseTracks:
 
 
 def align_pictures(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose], rounds: int) -> list[Pose]:
-    """Return the shifts of the colour pictures, found in `rounds` from given ones; other poses stay."""
+    """Return the shifts of the color pictures, found in `rounds` from given ones; other poses stay."""
     state = FitState(scene, frames, shifts)
     fit_colors(state)
     for _ in range(rounds):
@@ -101,7 +101,7 @@ def align_pictures(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose], 
 
 
 def fit_appearance(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] | None = None) -> FittedAppearance:
-    """Fit colours, light and gains at the scene's poses and at shifts that `align_pictures` has found."""
+    """Fit colors, light and gains at the scene's poses and at shifts that `align_pictures` has found."""
     state = FitState(scene, frames, shifts)
     drop_hidden_cells(state)
     complete_surfaces(state)
@@ -123,7 +123,7 @@ def fit_appearance(scene: Scene, frames: FrameSequence, shifts: Sequence[Pose] |
 
 
 def fit_geometry(scene: Scene, frames: FrameSequence) -> FittedAppearance:
-    """Return the surfaces that frames show, without colours, gains and shifts: a video stands for these."""
+    """Return the surfaces that frames show, without colors, gains and shifts: a video stands for these."""
     state = FitState(scene, frames)
     drop_hidden_cells(state)
     return FittedAppearance(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures that stand for a background at rest before the only camera, at rest as well: of colours, and of depth."""
+"""Pictures that stand for a background at rest before the only camera, at rest as well: of colors, and of depth."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["background_depth_map", "background_image"]
 MAX_FRAMES = 80
 """That are averaged: more would take memory and hardly lessen the noise."""
 GEOMETRY_SHARE = 0.1
-"""What the cells of a background at rest take of a usual stream, once a picture colours them."""
+"""What the cells of a background at rest take of a usual stream, once a picture colors them."""
 MISFIT_TOLERANCE = 1.005
 """How much more than the cells' the misfit may be that counts as no worse."""
 WRONG = 0.01
@@ -50,7 +50,7 @@ def background_image(state: FitState, gains: NDArray[np.int64]) -> BackgroundIma
     seen = (
         (state.measured(frame), state.poses_in(frame), *apply_gain(gains[frame])) for frame in _averaged_frames(state)
     )
-    return BackgroundImageCandidates(averaged_background(scene.info.rig, seen, state.colors, state.threads), state.grey)
+    return BackgroundImageCandidates(averaged_background(scene.info.rig, seen, state.colors, state.threads), state.gray)
 
 
 def background_depth_map(state: FitState) -> CodedDepthMap | None:
@@ -118,7 +118,7 @@ class _DepthMapTrial:
 
 
 def _cell_bytes(state: FitState) -> int:
-    """Return how many bytes the cells of the background take without colours."""
+    """Return how many bytes the cells of the background take without colors."""
     surface, model = state.surfaces[0], state.colors.models[0].model
     flat = replace(surface, colors=np.zeros_like(surface.colors))
-    return coded_size(flat, model.voxel_size_m, model.relief_bits, color_settings(ColorConfig(), state.grey))[0]
+    return coded_size(flat, model.voxel_size_m, model.relief_bits, color_settings(ColorConfig(), state.gray))[0]

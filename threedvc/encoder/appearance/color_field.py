@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Appearance of a finished scene: colours, gains and poses with which the decoder redraws the frames best.
+"""Appearance of a finished scene: colors, gains and poses with which the decoder redraws the frames best.
 
-The geometry is fixed here. What the renderer shows at a pixel is a weighted mean of the colours around the point
-that the pixel's ray meets, times the gain of the frame: linear in the colours, so they follow by least squares
+The geometry is fixed here. What the renderer shows at a pixel is a weighted mean of the colors around the point
+that the pixel's ray meets, times the gain of the frame: linear in the colors, so they follow by least squares
 from all frames at once (conjugate gradients, with a little smoothness for what is hardly seen). Poses and gains
 of a frame follow by Gauss-Newton steps that bring the points to where the picture shows their luma and the depth
 map their depth. The two are repeated in turn.
@@ -29,7 +29,7 @@ from threedvc.render.render_model import RenderModel
 __all__ = ["ColorField", "FieldObject"]
 
 MIN_COLOR, MAX_COLOR = -256, 511
-"""The renderer clips after gain and light: before, a colour may lie beyond 0 to 255 by as much again."""
+"""The renderer clips after gain and light: before, a color may lie beyond 0 to 255 by as much again."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +43,7 @@ class FieldObject:
     voxel_size_m
         Edge of a cell.
     texture_scale
-        Texels along an edge of a cell; 1: the cells themselves are coloured.
+        Texels along an edge of a cell; 1: the cells themselves are colored.
     relief_bits
         How finely it tells where the surface passes in a cell.
     inferred
@@ -57,7 +57,7 @@ class FieldObject:
     inferred: bool = False
 
     def model(self) -> DecodedModel:
-        """Return a decoded model with the cells and the relief, and texels coloured as their cells."""
+        """Return a decoded model with the cells and the relief, and texels colored as their cells."""
         surface, scale = self.surface, self.texture_scale
         model = DecodedModel(self.voxel_size_m, scale, guessed=self.inferred, relief_bits=self.relief_bits)
         model.apply(ModelUpdate.adding(surface.cells, surface.colors))
@@ -70,7 +70,7 @@ class FieldObject:
 
 
 class ColorField:
-    """Coloured cells or texels of all objects, numbered through, as the decoder will hold them.
+    """Colored cells or texels of all objects, numbered through, as the decoder will hold them.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class ColorField:
     models
         The objects in the form that rays walk through.
     values
-        (n, 3) float32 RGB of the numbered cells; first the mean colours of the surfaces.
+        (n, 3) float32 RGB of the numbered cells; first the mean colors of the surfaces.
     neighbors
         (n, 6) int32 numbers of the cells that share a face with each; -1: none.
     lights
@@ -110,14 +110,14 @@ class ColorField:
         self.neighbors = np.concatenate(neighbors) if neighbors else np.zeros((0, 6), np.int32)
 
     def corners(self, number: int, points: Doubles) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-        """Return the numbers and weights (n, 8) of the cells around points (n, 3) of an object, in metres."""
+        """Return the numbers and weights (n, 8) of the cells around points (n, 3) of an object, in meters."""
         grid = self.models[number].model.color_grids()[0]
         numbers, weights = np.empty((len(points), 8), np.int32), np.empty((len(points), 8), np.uint8)
         find_corners(points / grid.cell_size_m - 0.5, grid.tables, self._numbers[number], numbers, weights)
         return numbers, weights
 
     def normals(self, number: int, points: Doubles, directions: Doubles) -> Doubles:
-        """Return the normals (n, 3) at points (n, 3) of an object, in metres, turned against directions (n, 3)."""
+        """Return the normals (n, 3) at points (n, 3) of an object, in meters, turned against directions (n, 3)."""
         model, normals = self.models[number].model, np.zeros((len(points), 3))
         find_normals(
             points / model.voxel_size_m - 0.5, directions, model.index.tables, model.occupied.reshape(-1),
@@ -126,7 +126,7 @@ class ColorField:
         return normals
 
     def cell_colors(self, number: int) -> tuple[NDArray[np.int32], NDArray[np.int16]]:
-        """Return the cells (n, 3) of an object in Morton order and their colours (n, 3): means of their texels."""
+        """Return the cells (n, 3) of an object in Morton order and their colors (n, 3): means of their texels."""
         model = self.models[number].model
         cells, colors = model.cells()
         if model.texture is None:
@@ -140,7 +140,7 @@ class ColorField:
         return cells, np.where(count[here][:, None] > 0, _rounded(means), colors)
 
     def textured(self, number: int) -> bool:
-        """Tell whether an object's colours are those of texels."""
+        """Tell whether an object's colors are those of texels."""
         return self.models[number].model.texture is not None
 
     def numbers_of(self, number: int, cells: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -148,11 +148,11 @@ class ColorField:
         return self._numbers[number][self.models[number].model.index.locate(cells)]
 
     def recolor(self, number: int, cells: NDArray[np.int32], colors: NDArray[np.int16]) -> None:
-        """Set the colours (n, 3) of cells (n, 3) of an object without texels."""
+        """Set the colors (n, 3) of cells (n, 3) of an object without texels."""
         self.values[self.numbers_of(number, cells)] = colors
 
     def texel_colors(self, number: int, texels: NDArray[np.int32], default: NDArray[np.int16]) -> NDArray[np.int16]:
-        """Return the colours (n, 3) of texels (n, 3); `default` where the field has none."""
+        """Return the colors (n, 3) of texels (n, 3); `default` where the field has none."""
         model = self.models[number].model
         assert model.texture is not None
         positions = model.texture.index.locate(texels)
@@ -171,7 +171,7 @@ def _rounded(values: NDArray[np.floating]) -> NDArray[np.int16]:
 
 
 def _numbered(model: DecodedModel) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats]:
-    """Return the number of every coloured cell by position (-1: none), and these cells with their colours."""
+    """Return the number of every colored cell by position (-1: none), and these cells with their colors."""
     index = model.index if model.texture is None else model.texture.index
     grid = model.color_grids()[0]
     cells, colors = model.cells() if model.texture is None else model.texture.texels()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colours, light and gains, fitted in turn to samples of the frames."""
+"""Colors, light and gains, fitted in turn to samples of the frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from threedvc.encoder.appearance.samples import joined
 __all__ = ["FINAL_FITS", "fit_colors", "log_color_error", "steady_gains"]
 
 COLOR_FITS = 3
-"""Do for a start; colours and gains converge slowly, see `FINAL_FITS`."""
+"""Do for a start; colors and gains converge slowly, see `FINAL_FITS`."""
 LIGHT_FITS = 8
 """Where light is fitted, too: for the first half of them it does not change."""
 FINAL_FITS = 12
@@ -26,7 +26,7 @@ MIN_GAIN_SAVING = 0.01
 
 
 def fit_colors(state: FitState, *, fits: int | None = None, alignment: Alignment = Alignment.NONE) -> None:
-    """Sample all frames, if wanted after aligning them, and fit colours, light and gains to the samples in turn.
+    """Sample all frames, if wanted after aligning them, and fit colors, light and gains to the samples in turn.
 
     They are fitted `fits` times, or as often as does for a start.
     """
@@ -36,12 +36,12 @@ def fit_colors(state: FitState, *, fits: int | None = None, alignment: Alignment
     for fit in range(fits if state.samples else 0):
         solve_colors(state.colors, joined(state.colors, state.samples_and_gains()), state.threads)
         for number in state.turning:
-            # Until colours are about right, a light that changes would make up for them.
+            # Until colors are about right, a light that changes would make up for them.
             epoch = len(state.frames) if 2 * fit < fits else epoch_frames(len(state.frames))
             solve_light(state.colors, number, state.samples_and_gains(), epoch)
         if fit < fits - 1:
             for sample in state.samples:
-                state.gains[sample.frame] = solve_gain(sample, sample.shown(state.colors), state.grey)
+                state.gains[sample.frame] = solve_gain(sample, sample.shown(state.colors), state.gray)
 
 
 def log_color_error(state: FitState) -> float:
@@ -62,7 +62,7 @@ def steady_gains(state: FitState) -> NDArray[np.int64]:
             continue
         sample = kept.get(frame) or state.sample(state.measured(frame))
         shown = sample.shown(state.colors)
-        found = solve_gain(sample, shown, state.grey)
+        found = solve_gain(sample, shown, state.gray)
         if sample.squared_error(shown, found) < (1 - MIN_GAIN_SAVING) * sample.squared_error(shown, last):
             gains[frame] = last_of[sensor] = found
     return gains

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Least squares of the colours of cells, gains of the camera, and light."""
+"""Least squares of the colors of cells, gains of the camera, and light."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles, Floats
-from threedvc.coding.gains import NEUTRAL, apply_gain, quantised_gain
+from threedvc.coding.gains import NEUTRAL, apply_gain, quantized_gain
 from threedvc.encoder.appearance.color_field import ColorField
 from threedvc.encoder.appearance.lighting import LightEquations, light_terms, light_track
 from threedvc.encoder.appearance.photometric_alignment import MIN_POINTS
 from threedvc.encoder.appearance.samples import FrameSamples, JoinedSamples
-from threedvc.kernels.encoder.appearance import gather_colors, gather_neighbours, scatter_colors
+from threedvc.kernels.encoder.appearance import gather_colors, gather_neighbors, scatter_colors
 from threedvc.parallel import for_ranges
 
 __all__ = ["solve_colors", "solve_gain", "solve_light"]
 
 SMOOTHNESS = 0.3
-"""Weight of the difference from each neighbour against a sample of weight one: decides where hardly any sample does."""
+"""Weight of the difference from each neighbor against a sample of weight one: decides where hardly any sample does."""
 ANCHOR = 1e-3
-"""Weight of the colour so far: decides only where neither a sample nor a neighbour does."""
+"""Weight of the color so far: decides only where neither a sample nor a neighbor does."""
 CONJUGATE_STEPS = 12
-"""Steps of conjugate gradients each time; colours and gains in turn converge slower than these do."""
+"""Steps of conjugate gradients each time; colors and gains in turn converge slower than these do."""
 MIN_CURVATURE = 1e-20
 """Keeps steps finite where nothing is left to be fitted."""
 SUM_PARTS = 4
-"""In which samples are summed up, whatever the number of threads; each takes as much memory as all colours."""
+"""In which samples are summed up, whatever the number of threads; each takes as much memory as all colors."""
 GAIN_SHRINK = 4.0
 """Variance, in squared levels, that draws a gain to 1: on an even picture nothing tells it from an offset."""
 MEDIANS_OF_OUTLIER = 4.0
@@ -40,7 +40,7 @@ GAIN_ROUNDS = 3
 def solve_light(
     colors: ColorField, number: int, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]], epoch: int
 ) -> None:
-    """Set the lights on an object to those with which its colours fit the samples and gains best.
+    """Set the lights on an object to those with which its colors fit the samples and gains best.
 
     They may change every `epoch` frames.
     """
@@ -87,7 +87,7 @@ class _NormalEquations:
         return np.asarray(sums.sum(axis=0), dtype=np.float32)
 
     def apply(self, values: Floats) -> Floats:
-        """Return the system's product with colours (cells, 3)."""
+        """Return the system's product with colors (cells, 3)."""
         samples, rows = self._samples, self._rows
 
         def row_range(start: int, stop: int) -> None:
@@ -96,7 +96,7 @@ class _NormalEquations:
 
         for_ranges(row_range, len(rows), self._threads)
         result = self.scatter_add(rows) + np.float32(ANCHOR) * values
-        gather_neighbours(self._neighbors, values, np.float32(SMOOTHNESS), result)
+        gather_neighbors(self._neighbors, values, np.float32(SMOOTHNESS), result)
         return result
 
     def diagonal(self) -> Floats:
@@ -107,7 +107,7 @@ class _NormalEquations:
 
 
 def solve_colors(colors: ColorField, samples: JoinedSamples, threads: int) -> None:
-    """Set the colours of a field to those whose interpolation fits the samples best."""
+    """Set the colors of a field to those whose interpolation fits the samples best."""
     system = _NormalEquations(samples, colors.neighbors, len(colors.values), threads)
     values, scale = colors.values.copy(), np.asarray(1 / system.diagonal(), dtype=np.float32)
     residual = system.scatter_add(samples.gain * samples.wanted) + np.float32(ANCHOR) * values - system.apply(values)
@@ -128,13 +128,13 @@ def _dot(a: Floats, b: Floats) -> Doubles:
     return np.asarray(np.einsum("ij,ij->j", a, b, dtype=np.float64))
 
 
-def solve_gain(sample: FrameSamples, shown: Floats, grey: bool) -> NDArray[np.int64]:
-    """Return the gain (3, 2) with which shown colours (n, 3) come nearest to the observed ones."""
+def solve_gain(sample: FrameSamples, shown: Floats, gray: bool) -> NDArray[np.int64]:
+    """Return the gain (3, 2) with which shown colors (n, 3) come nearest to the observed ones."""
     if len(shown) < MIN_POINTS:
         return NEUTRAL.copy()
     observed = sample.observed.astype(np.float64)
     values = shown.astype(np.float64)
-    if grey:
+    if gray:
         observed = np.repeat(observed.mean(axis=1, keepdims=True), 3, axis=1)
         values = np.repeat(values.mean(axis=1, keepdims=True), 3, axis=1)
     weight = np.ones(len(values))
@@ -147,4 +147,4 @@ def solve_gain(sample: FrameSamples, shown: Floats, grey: bool) -> NDArray[np.in
         offset = wanted - gain * mean
         error = ((values * gain + offset - observed) ** 2).mean(axis=1)
         weight = 1 / (1 + error / (MEDIANS_OF_OUTLIER * np.median(error) + 1)) ** 2
-    return quantised_gain(gain, offset)
+    return quantized_gain(gain, offset)

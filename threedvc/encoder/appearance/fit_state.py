@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a fit to the pictures holds: colours, gains, poses and shifts, and samples of the frames at these poses."""
+"""What a fit to the pictures holds: colors, gains, poses and shifts, and samples of the frames at these poses."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = ["MAX_SAMPLES", "CompletedSurface", "DepthCaster", "FitState"]
 MAX_SAMPLES = 2_000_000
 """Of all frames: bounds the memory and the time of the least squares, whatever the length of a sequence."""
 MIN_FRAME_SAMPLES, MAX_FRAME_SAMPLES = 5_000, 20_000
-"""Of a frame: fewer do not tell its pose and gain, more say little that their neighbours do not."""
+"""Of a frame: fewer do not tell its pose and gain, more say little that their neighbors do not."""
 MIN_TURN_RAD = 0.2
 """Some eleven degrees: by less, the light on the surface of an object hardly changes."""
 
@@ -47,7 +47,7 @@ class CompletedSurface:
     number
         Of the object that they form.
     surface
-        The cells; their colours are grey.
+        The cells; their colors are gray.
     voxel_size_m
         Edge of a cell.
     """
@@ -77,9 +77,9 @@ class DepthCaster(NamedTuple):
 
 
 class FitState:
-    """Colours, gains, poses and shifts of a scene so far, and samples of the frames at these.
+    """Colors, gains, poses and shifts of a scene so far, and samples of the frames at these.
 
-    Its colours are always those of its surfaces, numbered through: set surfaces by `replace_surfaces` and `complete`.
+    Its colors are always those of its surfaces, numbered through: set surfaces by `replace_surfaces` and `complete`.
 
     Parameters
     ----------
@@ -94,20 +94,20 @@ class FitState:
 
     Attributes
     ----------
-    threads, grey
+    threads, gray
         Number of threads; whether the pictures have luma alone.
     surfaces
         Surface of every object that was measured, by number.
     completion
         The inferred surface behind them, if there is one.
     colors
-        Colours of all cells, and the light on objects.
+        Colors of all cells, and the light on objects.
     tracks
         Where every object is in every frame.
     shifts
-        T_shifted_camera of every frame: how the camera moved between depth and colour picture.
+        T_shifted_camera of every frame: how the camera moved between depth and color picture.
     gains
-        (frames, 3, 2) units of the colour camera's gains, see `threedvc.coding.gains`.
+        (frames, 3, 2) units of the color camera's gains, see `threedvc.coding.gains`.
     samples
         Of the frames that are kept, without their points.
     turning
@@ -122,7 +122,7 @@ class FitState:
         max_samples: int = MAX_SAMPLES,
     ) -> None:
         self.scene, self.frames = scene, frames
-        self.threads, self.grey = scene.config.threads, scene.info.grey
+        self.threads, self.gray = scene.config.threads, scene.info.gray
         self.surfaces: Mapping[int, Surface] = {
             number: extract_surface(item.evidence, self.threads, smooth=True) for number, item in scene.objects.items()
         }
@@ -147,12 +147,12 @@ class FitState:
         return surfaces
 
     def replace_surfaces(self, surfaces: Mapping[int, Surface]) -> None:
-        """Take other surfaces of the measured objects; colours are those of the surfaces again."""
+        """Take other surfaces of the measured objects; colors are those of the surfaces again."""
         self.surfaces = surfaces
         self.colors = self._color_field()
 
     def complete(self, completion: CompletedSurface) -> None:
-        """Add an inferred surface; colours are those of the surfaces again."""
+        """Add an inferred surface; colors are those of the surfaces again."""
         self.completion = completion
         self.colors = self._color_field()
 
@@ -206,7 +206,7 @@ class FitState:
         return poses
 
     def draws_lost_object(self, frame: int) -> bool:
-        """Tell whether an object is drawn where it was not seen: then the picture says nothing about colours."""
+        """Tell whether an object is drawn where it was not seen: then the picture says nothing about colors."""
         return any(at.status is PoseStatus.LOST for track in self.tracks.values() if (at := track[frame]) is not None)
 
     def depth_caster(self, frame: int) -> DepthCaster:

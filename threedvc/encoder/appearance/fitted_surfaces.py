@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Surfaces with the colours of a fit, and how much each of these counts."""
+"""Surfaces with the colors of a fit, and how much each of these counts."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from threedvc.encoder.fusion.surface_extraction import Surface
 __all__ = ["fitted_surfaces", "pixels_per_cell"]
 
 MIN_IMPORTANCE = np.float32(0.02)
-"""Of a cell, over the mean: cells that hardly a frame shows get some colour, too."""
+"""Of a cell, over the mean: cells that hardly a frame shows get some color, too."""
 
 
 def fitted_surfaces(state: FitState, *, background_apart: bool = False) -> dict[int, Surface]:
-    """Return the surfaces with the colours so far, and how much these count, on an average 1.
+    """Return the surfaces with the colors so far, and how much these count, on an average 1.
 
-    The background can have an average of its own, as is right where its colours may not be sent.
+    The background can have an average of its own, as is right where its colors may not be sent.
     """
     surfaces = state.all_surfaces
     groups = [[0], [number for number in surfaces if number]] if background_apart else [list(surfaces)]

@@ -60,7 +60,7 @@ def _regions(field: ColorField, surfaces: Mapping[int, Surface]) -> NDArray[np.i
 
 
 def _sight(state: FitState, field: ColorField, frame: int) -> Doubles:
-    """Return how much a frame shows of each numbered cell (n,): the weights of the rays that it colours."""
+    """Return how much a frame shows of each numbered cell (n,): the weights of the rays that it colors."""
     poses, caster, sight = state.poses_in(frame), state.depth_caster(frame), np.zeros(len(field.values))
     depth, labels = caster.cast(field.models, poses)
     points = caster.points(depth)

@@ -3,7 +3,7 @@
 
 The light on an object is a quadratic function of the normal in the world
 (`threedvc.kernels.render.shading.light_basis`). It stands still unless it is told to change: a sequence is divided into
-epochs, each with least squares of its own, and neighbours that share a light at little loss are joined until none are
+epochs, each with least squares of its own, and neighbors that share a light at little loss are joined until none are
 left.
 """
 
@@ -26,9 +26,9 @@ LightTrack: TypeAlias = tuple[tuple[int, Doubles], ...]
 """First frame and factors (8,) of each light, in order; the first one also holds before its frame."""
 
 LIGHT_PRIOR = 1e5
-"""As if two samples in middle grey (3 times 128 squared each) said of every factor that it is 0."""
+"""As if two samples in middle gray (3 times 128 squared each) said of every factor that it is 0."""
 MAX_EPOCHS = 24
-"""Of a sequence; neighbours are joined where that costs little, so more would only take time."""
+"""Of a sequence; neighbors are joined where that costs little, so more would only take time."""
 MIN_EPOCH_FRAMES = 8
 """Fewer show too few normals to tell eight factors."""
 WORTHWHILE_CHANGE = 0.02
@@ -102,7 +102,7 @@ def light_track(epochs: Mapping[int, LightEquations]) -> LightTrack:
     while len(parts) > 1:
         joined = [(first, one + other) for (first, one), (_, other) in pairwise(parts)]
         apart = [one.saved() + other.saved() for (_, one), (_, other) in pairwise(parts)]
-        losses = [both - synchronised.saved() for both, (_, synchronised) in zip(apart, joined, strict=True)]
+        losses = [both - synchronized.saved() for both, (_, synchronized) in zip(apart, joined, strict=True)]
         least = int(np.argmin(losses))
         if losses[least] > allowed:
             break

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Poses and shifts of the colour camera that make a coloured model meet the pictures."""
+"""Poses and shifts of the color camera that make a colored model meet the pictures."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ LUMA_NOISE = 3.0
 DEPTH_LIMIT = 0.03
 """Share of the depth by which a measurement may be off and still count: what is further off is another surface."""
 SAMPLES_PER_WITNESS = 30
-"""Neighbouring samples are not independent; so many of them count as one against the prior."""
+"""Neighboring samples are not independent; so many of them count as one against the prior."""
 STEP_PRIOR = np.array([0.01, 0.01, 0.01, 0.003, 0.003, 0.003, np.inf, np.inf])
 """Deviation of one step of the displacement (m), the rotation (rad), gain and offset."""
 SHIFT_PRIOR = np.array([0.01, 0.01, 0.01, 0.01, 0.01, 0.01])
-"""Deviation of the colour picture's displacement (m) and rotation (rad)."""
+"""Deviation of the color picture's displacement (m) and rotation (rad)."""
 GAIN_DAMPING = np.array([0, 0, 0, 0, 0, 0, 1e-6, 1e-6])
 """Gain and offset have no prior; this keeps them from being singular on an even picture."""
 CONVERGED = 1e-4
-"""Metres and radians; a smaller step is far below a pixel."""
+"""Meters and radians; a smaller step is far below a pixel."""
 MIN_POINTS = 100
 """For eight unknowns."""
 
@@ -62,7 +62,7 @@ def aligned_pose(
     T_camera_object
         The pose to start from.
     points, luma
-        (n, 3) points of the object in metres, and (n,) their luma.
+        (n, 3) points of the object in meters, and (n,) their luma.
     sensor
         Noise of the depth.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Samples of all frames, if wanted after moving objects or colour pictures to where they fit the colours so far."""
+"""Samples of all frames, if wanted after moving objects or color pictures to where they fit the colors so far."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Alignment(Enum):
 
     NONE = auto()
     POSES = auto()
-    """Objects whose poses are not given, to where they fit colour and depth."""
+    """Objects whose poses are not given, to where they fit color and depth."""
     SHIFTS = auto()
-    """The colour picture, to where it fits the background; poses stay."""
+    """The color picture, to where it fits the background; poses stay."""
 
 
 def take_samples(state: FitState, alignment: Alignment) -> None:
-    """Sample all frames anew after aligning them with the colours so far, and find their gains."""
+    """Sample all frames anew after aligning them with the colors so far, and find their gains."""
     state.samples.clear()
     for moment in frame_sets(state.drawn_frames(), state.scene.info):
         fresh = []
@@ -39,7 +39,7 @@ def take_samples(state: FitState, alignment: Alignment) -> None:
             elif not state.draws_lost_object(frame.index):
                 fresh.append(frame)
         for sample in _aligned_samples(state, fresh, alignment):
-            state.gains[sample.frame] = solve_gain(sample, sample.shown(state.colors), state.grey)
+            state.gains[sample.frame] = solve_gain(sample, sample.shown(state.colors), state.gray)
             state.keep(sample)
 
 
@@ -79,7 +79,7 @@ def _align(state: FitState, frame: Frame, sample: FrameSamples, alignment: Align
         moved, here = True, sample.labels == number
         view = frame, rig, rig.at_sensor(at.T_camera_object), sample.points[here], luma[here]
         if alignment is Alignment.POSES:
-            pose = rig.at_base(aligned_pose(*view, sensor=scene.sensor_of(frame.sensor)))
+            pose = rig.at_rig(aligned_pose(*view, sensor=scene.sensor_of(frame.sensor)))
             state.tracks[number][index] = replace(at, T_camera_object=pose)
         elif number == 0:
             state.shifts[index] = aligned_shift(*view, state.shifts[index])

@@ -38,7 +38,7 @@ def rate_distortion_at(
     Returns
     -------
     float
-        Logarithm of the squared error of colours, plus `DEPTH_SHARE` of that of the depth's `geman_mcclure_error`.
+        Logarithm of the squared error of colors, plus `DEPTH_SHARE` of that of the depth's `geman_mcclure_error`.
     """
     state = FitState(scene, frames, shifts, TRIAL_SAMPLES)
     fit_colors(state)
@@ -47,20 +47,20 @@ def rate_distortion_at(
 
 
 def least_color_error(scene: Scene, frames: FrameSequence) -> float:
-    """Return the logarithm of the squared error of a quick fit of colours that cost nothing."""
+    """Return the logarithm of the squared error of a quick fit of colors that cost nothing."""
     state = FitState(scene, frames, None, TRIAL_SAMPLES)
     fit_colors(state)
     return log_color_error(state)
 
 
 def weighed_misfit(misfit: float) -> float:
-    """Return a depth's `geman_mcclure_error` as it counts beside the logarithm of the squared error of colours."""
+    """Return a depth's `geman_mcclure_error` as it counts beside the logarithm of the squared error of colors."""
     return DEPTH_SHARE * float(np.log(misfit + MIN_MISFIT))
 
 
 def _coded(state: FitState, luma_step: float) -> tuple[int, float]:
-    """Return how many bytes the surfaces take with colours of a luma step, and `log_color_error` with these."""
-    settings = color_settings(with_step(luma_step), state.grey)
+    """Return how many bytes the surfaces take with colors of a luma step, and `log_color_error` with these."""
+    settings = color_settings(with_step(luma_step), state.gray)
     fitted, total = state.colors.values.copy(), 0
     for number, surface in fitted_surfaces(state).items():
         model = state.colors.models[number].model

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Samples of the frames' colours on the surfaces of a model."""
+"""Samples of the frames' colors on the surfaces of a model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LUMA = np.array(LUMA_WEIGHTS, dtype=np.float32)
 PHASES = ((0, 0), (1, 2), (3, 1), (2, 3))
 """Where the grids of successive frames begin: each in a row and a column of its own."""
 SMOOTHING_ROUNDS = 3
-"""How often shares are averaged with the neighbours': they are too few to count alone."""
+"""How often shares are averaged with the neighbors': they are too few to count alone."""
 OUTLIER_LEVELS = 50.0
 """Root mean squared error of a sample at which it counts half: far above noise, below the contrast of an outline."""
 
@@ -45,7 +45,7 @@ class FrameSamples:
     labels
         (n,) uint8 object numbers.
     points
-        (n, 3) float64 points met, in the object's frame, metres.
+        (n, 3) float64 points met, in the object's frame, meters.
     numbers, weights
         (n, 8) int32 and uint8, see `ColorField.corners`.
     observed
@@ -63,7 +63,7 @@ class FrameSamples:
     observed: NDArray[np.uint8]
 
     def shown(self, field: ColorField) -> Floats:
-        """Return the colours (n, 3) without gain."""
+        """Return the colors (n, 3) without gain."""
         shown = np.empty((len(self.labels), 3), dtype=np.float32)
         gather_colors(0, len(shown), self.numbers, self.weights, field.values, shown)
         return shown * self.lit(field)[:, None]
@@ -73,7 +73,7 @@ class FrameSamples:
         return (self.shown(field) @ LUMA).astype(np.float64)
 
     def squared_error(self, shown: Floats, units: NDArray[np.int64]) -> float:
-        """Return the mean squared error of colours (n, 3) as `shown`, with units (3, 2) of a gain."""
+        """Return the mean squared error of colors (n, 3) as `shown`, with units (3, 2) of a gain."""
         gain, offset = apply_gain(units)
         return float(np.mean((np.clip(shown * gain + offset, 0, 255) - self.observed) ** 2))
 
@@ -87,7 +87,7 @@ class FrameSamples:
 
 
 class Sampler:
-    """Casts every n-th pixel of the colour camera, other ones from frame to frame.
+    """Casts every n-th pixel of the color camera, other ones from frame to frame.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class Sampler:
     def sample(
         self, frame: Frame, field: ColorField, poses: Mapping[int, Pose], T_shifted_camera: Pose
     ) -> FrameSamples:
-        """Return the samples of a frame whose rays meet a coloured cell; `poses` are T_camera_object."""
+        """Return the samples of a frame whose rays meet a colored cell; `poses` are T_camera_object."""
         x, y, rays = self._grids[frame.index % len(self._grids)]
         T_color_camera = compose(self._rig.T_color_depth, T_shifted_camera)
         in_color = {number: compose(T_color_camera, poses[number]) for number in poses}
@@ -175,7 +175,7 @@ def shown_shares(colors: ColorField, samples: Iterable[FrameSamples]) -> Floats:
 
 
 def joined(colors: ColorField, samples: Iterable[tuple[FrameSamples, NDArray[np.int64]]]) -> JoinedSamples:
-    """Join the samples of frames and their gains (3, 2); one that the colours so far do not explain counts less."""
+    """Join the samples of frames and their gains (3, 2); one that the colors so far do not explain counts less."""
     numbers, weights, gains, wanted = [], [], [], []
     for sample, units in samples:
         gain, offset = apply_gain(units)

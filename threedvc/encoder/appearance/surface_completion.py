@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Infer where surfaces are that colour pictures show and no depth was measured of.
+"""Infer where surfaces are that color pictures show and no depth was measured of.
 
-Shining, dark and far things, and what only the colour camera sees, leave holes. Each hole gets cells where the depth
-around it suggests a surface; they form an object that is drawn in colour only, behind all others, with wide cells, for
+Shining, dark and far things, and what only the color camera sees, leave holes. Each hole gets cells where the depth
+around it suggests a surface; they form an object that is drawn in color only, behind all others, with wide cells, for
 their place is a guess.
 """
 
@@ -49,7 +49,7 @@ RAYS_PER_CELL = 2.0
 MIN_DEPTH_M = 1e-3
 """Nothing is measured nearer."""
 MIN_INVERSE_DEPTH_PER_M = 1e-3
-"""What is interpolated is no further than a kilometre."""
+"""What is interpolated is no further than a kilometer."""
 UNKNOWN_COLOR = 128
 """Until the fit knows better."""
 
@@ -64,7 +64,7 @@ class _View(NamedTuple):
 
 
 def complete_surfaces(state: FitState) -> None:
-    """Add surfaces where the colour pictures of a moving camera show something and the model has nothing."""
+    """Add surfaces where the color pictures of a moving camera show something and the model has nothing."""
     scene, count = state.scene, len(state.frames)
     free = [number for number in range(1, MAX_LABEL + 1) if number not in scene.objects]
     if scene.objects[0].at_rest or not free or not state.surfaces[0].cells.size:
@@ -84,7 +84,7 @@ def complete_surfaces(state: FitState) -> None:
 
 
 class _HoleSearch:
-    """The rays of a colour camera that look for holes."""
+    """The rays of a color camera that look for holes."""
 
     def __init__(self, rig: CameraRig, threads: int) -> None:
         self._rig = rig
@@ -132,8 +132,8 @@ def _inferred_surface(
         cells = _new_cells(searches[view.sensor].points(view, models, inferred), inferred.model)
         if len(cells):
             cells = cells[morton_order(cells)]
-            grey = np.full((len(cells), 3), UNKNOWN_COLOR, dtype=np.int16)
-            inferred.model.apply(ModelUpdate.adding(cells, grey))
+            gray = np.full((len(cells), 3), UNKNOWN_COLOR, dtype=np.int16)
+            inferred.model.apply(ModelUpdate.adding(cells, gray))
             inferred.refresh(threads)
             first_seen.append(view.frame)
     cells, colors = inferred.model.cells()

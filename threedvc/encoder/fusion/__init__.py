@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Evidence of occupancy and colour, fused from every frame, and surfaces out of it."""
+"""Evidence of occupancy and color, fused from every frame, and surfaces out of it."""

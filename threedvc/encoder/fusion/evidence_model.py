@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The encoder's model of an object: evidence of occupancy and colour of every cell."""
+"""The encoder's model of an object: evidence of occupancy and color of every cell."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class EvidenceModel:
     log_odds
         (blocks, 512) float32, log of P(occupied) / P(empty).
     distance, distance_weight
-        (blocks, 512) float32: mean signed distance to the surface along the viewing rays in metres
+        (blocks, 512) float32: mean signed distance to the surface along the viewing rays in meters
         (positive on the sensor's side) and its precision in units of the sensor's at 1 m.
     color, color_weight
         (blocks, 512, 3) and (blocks, 512) float32: mean RGB and its precision.
@@ -44,7 +44,7 @@ class EvidenceModel:
         self.first_seen = np.zeros((0, BLOCK_CELLS), dtype=np.int32)
 
     def allocate(self, blocks: NDArray[np.int32]) -> None:
-        """Give storage to blocks (n, 3); their cells are equiprobable, without colour."""
+        """Give storage to blocks (n, 3); their cells are equiprobable, without color."""
         self.index.insert(blocks)
         have, need = len(self.log_odds), self.index.count
         if need <= have:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Gain of the colour camera as frames come: how much brighter a frame is, per channel, than the evidence so far.
+"""Gain of the color camera as frames come: how much brighter a frame is, per channel, than the evidence so far.
 
-A camera that meters itself would otherwise leave its exposures in the model, patch by patch, and have it coloured
+A camera that meters itself would otherwise leave its exposures in the model, patch by patch, and have it colored
 again whenever they change. A factor alone is found, from robust means: an offset besides would follow the noise of the
-colours and drift. Files do better, with all frames before them, see `threedvc.encoder.appearance.color_field`.
+colors and drift. Files do better, with all frames before them, see `threedvc.encoder.appearance.color_field`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.gains import apply_gain, quantised_gain
+from threedvc.coding.gains import apply_gain, quantized_gain
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.integration import Observation
 from threedvc.geometry.pose import Pose, inverse
@@ -25,7 +25,7 @@ SAMPLES = 8000
 MIN_SAMPLES = 200
 """With fewer that are known a gain would follow their noise."""
 MIN_WEIGHT = 0.05
-"""Colour weight, that of a look at 4 m, from which a cell tells of a gain."""
+"""Color weight, that of a look at 4 m, from which a cell tells of a gain."""
 DARK, BRIGHT = 8.0, 247.0
 """Levels beyond which a channel may be cut off."""
 ROUNDS = 4
@@ -42,7 +42,7 @@ def estimate_gain(
     T_camera_object: Pose,
     model: EvidenceModel,
     last: NDArray[np.int64],
-    grey: bool,
+    gray: bool,
 ) -> NDArray[np.int64]:
     """Return the gain of a frame.
 
@@ -57,7 +57,7 @@ def estimate_gain(
     last
         (3, 2) units of the gain of the frame before, see `threedvc.coding.gains`; it stays where too little is
         known, or nothing has changed.
-    grey
+    gray
         Whether the three channels are one.
     """
     points, T = _surface_points(seen, mask), inverse(T_camera_object)
@@ -69,11 +69,11 @@ def estimate_gain(
     if np.count_nonzero(known) < MIN_SAMPLES:
         return last.copy()
     shown = model.color.reshape(-1, 3)[positions[known]].astype(np.float64)
-    gain = _robust_ratio(shown, observed[known], grey)
+    gain = _robust_ratio(shown, observed[known], gray)
     before = apply_gain(last)[0].astype(np.float64)
     if np.abs(gain / before - 1).max() < KEPT:
         return last.copy()
-    return quantised_gain(gain, np.zeros(3))
+    return quantized_gain(gain, np.zeros(3))
 
 
 def with_gain(seen: Observation, gain: NDArray[np.int64]) -> Observation:
@@ -94,7 +94,7 @@ def _surface_points(seen: Observation, mask: NDArray[np.bool_]) -> NDArray[np.fl
 def _observed(
     seen: Observation, points: NDArray[np.float64], voxel_size_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the colours (n, 3) of points, as blurred as cells, and which of them were measured in full."""
+    """Return the colors (n, 3) of points, as blurred as cells, and which of them were measured in full."""
     camera, T = seen.rig.color, seen.rig.T_color_depth
     points = points @ T[:3, :3].T + T[:3, 3]
     ahead = points[:, 2] > 0.01
@@ -109,12 +109,12 @@ def _observed(
     return colors, inside & (colors.min(axis=1) > DARK) & (colors.max(axis=1) < BRIGHT)
 
 
-def _robust_ratio(shown: NDArray[np.float64], observed: NDArray[np.float64], grey: bool) -> NDArray[np.float64]:
-    """Return the factors (3,) between the means of colours (n, 3); what they do not explain counts little.
+def _robust_ratio(shown: NDArray[np.float64], observed: NDArray[np.float64], gray: bool) -> NDArray[np.float64]:
+    """Return the factors (3,) between the means of colors (n, 3); what they do not explain counts little.
 
-    A ratio of means, unlike a regression, does not fall with the noise of the shown colours.
+    A ratio of means, unlike a regression, does not fall with the noise of the shown colors.
     """
-    if grey:
+    if gray:
         shown, observed = (np.repeat(each.mean(axis=1, keepdims=True), 3, axis=1) for each in (shown, observed))
     weight = np.ones(len(shown))
     gain = np.ones(3)

@@ -36,7 +36,7 @@ from threedvc.parallel import for_ranges
 __all__ = ["Observation", "camera_parameters", "confidence_of", "free_space_log_odds", "fuse", "observe"]
 
 PYRAMID_LEVELS = 5
-"""Of the colour picture, down to a sixteenth: a cell that covers more pixels is coloured by 16 x 16 of them."""
+"""Of the color picture, down to a sixteenth: a cell that covers more pixels is colored by 16 x 16 of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,13 +46,13 @@ class Observation:
     Attributes
     ----------
     depth
-        (h, w) float32 metres.
+        (h, w) float32 meters.
     rays
         (h, w, 2) float64 slopes of the depth camera's pixels.
     levels
         Pyramid of float32 RGB pictures.
     confidence
-        (h, w) float32 weight of the colour seen at a depth pixel.
+        (h, w) float32 weight of the color seen at a depth pixel.
     """
 
     frame: int
@@ -78,7 +78,7 @@ def free_space_log_odds(sensor: SensorModel) -> float:
 
 
 def observe(frame: Frame, rig: CameraRig, rays: NDArray[np.float64]) -> Observation:
-    """Prepare a frame: colour pyramid, and confidence from viewing angle and depth edges."""
+    """Prepare a frame: color pyramid, and confidence from viewing angle and depth edges."""
     levels = [frame.color.astype(np.float32)]
     while len(levels) < PYRAMID_LEVELS and min(levels[-1].shape[:2]) >= 4:
         height, width = levels[-1].shape[:2]

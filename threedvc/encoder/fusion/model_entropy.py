@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Entropy of a model: the sum over its cells of H(occupancy) + H(colour), in bits.
+"""Entropy of a model: the sum over its cells of H(occupancy) + H(color), in bits.
 
-The colour of an empty cell means nothing, so H(colour) counts with the probability that the cell is
+The color of an empty cell means nothing, so H(color) counts with the probability that the cell is
 occupied (the chain rule of the joint entropy). Blocks that a frame did not touch keep their value.
 """
 
@@ -17,15 +17,15 @@ from threedvc.parallel import for_ranges
 __all__ = ["UNKNOWN_BITS", "EntropyMeter", "channel_bits", "cross_entropy_bits"]
 
 LOOK_SPREAD = 8.0
-"""Levels by which the colour of one look deviates: noise of the camera, shading and blur together; by hand."""
+"""Levels by which the color of one look deviates: noise of the camera, shading and blur together; by hand."""
 LOOK_WEIGHT = 0.25
-"""Colour weight of that look: one from 2 m (weights go with the inverse square of the depth)."""
+"""Color weight of that look: one from 2 m (weights go with the inverse square of the depth)."""
 UNKNOWN_BITS = 8.0
-"""Entropy of a colour channel before the first look: any of 256 levels."""
+"""Entropy of a color channel before the first look: any of 256 levels."""
 
 
 def channel_bits(weight: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the entropy in bits of a colour channel of cells with colour weights (n,), as the meter counts it."""
+    """Return the entropy in bits of a color channel of cells with color weights (n,), as the meter counts it."""
     with np.errstate(divide="ignore"):
         bits = 0.5 * np.log2(2 * np.pi * np.e * LOOK_SPREAD**2 * LOOK_WEIGHT / np.maximum(weight, 0, dtype=np.float64))
     return np.asarray(np.clip(bits, 0, UNKNOWN_BITS))
@@ -41,7 +41,7 @@ def cross_entropy_bits(residual: NDArray[np.floating], weight: NDArray[np.floati
     residual
         (...) levels by which the believed mean differs from the evidence's.
     weight
-        (...) colour weight of the evidence.
+        (...) color weight of the evidence.
     """
     believed = LOOK_SPREAD**2
     with np.errstate(divide="ignore"):

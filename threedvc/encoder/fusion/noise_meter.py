@@ -12,7 +12,7 @@ from threedvc.frames.sensor_model import SENSORS, SensorModel
 __all__ = ["NoiseMeter"]
 
 STRAY_SHARE, STRAY_DENSITY_PER_M = 0.05, 1.0
-"""Measurements that have nothing to do with the model, and their density: anywhere within a metre. By hand: they keep a
+"""Measurements that have nothing to do with the model, and their density: anywhere within a meter. By hand: they keep a
 few from deciding."""
 MUCH_LIKELIER = 0.6
 """Logarithm of how many times as likely another sensor must make a pixel: errors of poses look like noise, too.
@@ -42,7 +42,7 @@ class NoiseMeter:
         Parameters
         ----------
         shown, measured
-            Depths of the same shape in metres, 0 = none. The model should not hold this frame alone.
+            Depths of the same shape in meters, 0 = none. The model should not hold this frame alone.
         voxel_size_m
             Edge of the model's cells: a surface lies anywhere within them.
         """

@@ -48,9 +48,9 @@ class Surface:
     first_seen
         (n,) int32 frame in which the cell was first measured.
     crossings
-        (n, 3) float32 where the surface passes along each axis, from the cell's centre in cells.
+        (n, 3) float32 where the surface passes along each axis, from the cell's center in cells.
     importance
-        (n,) float32 how much an error of the cell's colour counts, or None: alike.
+        (n,) float32 how much an error of the cell's color counts, or None: alike.
     """
 
     cells: NDArray[np.int32]
@@ -146,7 +146,7 @@ def grouped_by_region(surface: Surface) -> Surface:
 
 
 def _colors(model: EvidenceModel, positions: NDArray[np.int64]) -> NDArray[np.int16]:
-    """Return the mean colours; a cell never seen in colour takes the one before it in Morton order."""
+    """Return the mean colors; a cell never seen in color takes the one before it in Morton order."""
     colors = np.round(model.color.reshape(-1, 3)[positions]).astype(np.int16)
     known = model.color_weight.reshape(-1)[positions] > 0
     if known.all():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How the stream shows a background at rest: by an image, by a depth map, or by coloured cells."""
+"""How the stream shows a background at rest: by an image, by a depth map, or by colored cells."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class BackgroundChoice(NamedTuple):
     Attributes
     ----------
     image
-        The coded image that colours it; None: its cells are coloured.
+        The coded image that colors it; None: its cells are colored.
     depth_map
         The depth map that its cells are made of; None: they are sent.
     """
@@ -46,9 +46,9 @@ COLORED_CELLS = BackgroundChoice()
 def choose_background(
     scene: Scene, config: EncoderConfig, fitted: FittedAppearance | None, luma_step: float
 ) -> BackgroundChoice:
-    """Choose between the image of the background, at the best of its qualities, and coloured cells.
+    """Choose between the image of the background, at the best of its qualities, and colored cells.
 
-    That of the least squared error plus price of the bits is taken. A bit that quantises a cell's colour finer saves
+    That of the least squared error plus price of the bits is taken. A bit that quantizes a cell's color finer saves
     ``q^2 ln 2 / 6`` at every pixel of the cell: that is the price.
 
     Parameters
@@ -74,7 +74,7 @@ def choose_background(
 
 
 def _drawn_cells(scene: Scene, config: EncoderConfig, fitted: FittedAppearance) -> tuple[int, NDArray[np.uint8]]:
-    """Return the bytes of the background's cells with their colours, and the picture (h, w, 3) drawn of them."""
+    """Return the bytes of the background's cells with their colors, and the picture (h, w, 3) drawn of them."""
     size, decoded = _coded(scene, config, fitted.surfaces[0])
     model = RenderModel(decoded)
     model.refresh(config.threads)
@@ -92,6 +92,6 @@ def _colorless_size(scene: Scene, config: EncoderConfig, fitted: FittedAppearanc
 
 def _coded(scene: Scene, config: EncoderConfig, surface: Surface) -> tuple[int, DecodedModel]:
     """Return the bytes of a surface of the background sent at once, and the model with it."""
-    settings = with_steps_scaled(color_settings(config.color, scene.info.grey), object_weight(config.focus, 0))
+    settings = with_steps_scaled(color_settings(config.color, scene.info.gray), object_weight(config.focus, 0))
     voxel_size_m = scene.objects[0].evidence.voxel_size_m
     return coded_size(surface, voxel_size_m, config.appearance.relief_bits or 0, settings)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The colour pictures of a scene's frames as video, in place of the models' colours."""
+"""The color pictures of a scene's frames as video, in place of the models' colors."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ __all__ = ["ColorVideoWriter", "PictureCoding", "picture_coding"]
 BITS = 10
 """Of a sample, whatever the input has: sums are rounded less, for 2 % fewer bytes (decision 0030)."""
 SHRINKING = ((66.0, 1.0, 0.0), (70.0, 0.75, 2.0), (MAX_COARSENESS, 0.5, 6.0))
-"""Up to which coarseness pictures have which scale, and by how much finer these are quantised than it says: coarse
-quantisation loses more than a smaller picture of as many bytes (decision 0030)."""
+"""Up to which coarseness pictures have which scale, and by how much finer these are quantized than it says: coarse
+quantization loses more than a smaller picture of as many bytes (decision 0030)."""
 MIN_SIDE = 16
 """No side of a picture is smaller, unless the camera's is; by hand."""
 HALVING = 7.0
@@ -40,7 +40,7 @@ QUARTERS = 4
 
 
 class PictureCoding(NamedTuple):
-    """Scale of the pictures, and their quantisation by AV1."""
+    """Scale of the pictures, and their quantization by AV1."""
 
     scale: float
     crf: float
@@ -111,7 +111,7 @@ class ColorVideoWriter:
                     yield sensor, own
 
     def _run(self, sensor: int, frames: list[int]) -> _Run:
-        if self._scene.info.grey or self._scene.config.video.lossless:
+        if self._scene.info.gray or self._scene.config.video.lossless:
             return _Run(sensor, frames, 0)
         return _Run(sensor, frames, min(spare_magnification(self._frames[frame].color) for frame in frames))
 
@@ -120,7 +120,7 @@ class ColorVideoWriter:
         if config.video.lossless:
             return self._exact_packet(run)
         columns, rows = (_scaled(side, coding.scale) for side in (camera.width, camera.height))
-        video = VideoFormat(width=columns, height=rows, bits=BITS, magnified=run.magnified, grey=self._scene.info.grey)
+        video = VideoFormat(width=columns, height=rows, bits=BITS, magnified=run.magnified, gray=self._scene.info.gray)
         settings = Av1Settings(crf=coding.crf, preset=config.video.preset, threads=config.threads)
         header = ColorVideoHeader(
             frame=run.frames[0],
@@ -134,8 +134,8 @@ class ColorVideoWriter:
         return header.packet(encode_av1(self._planes(run.frames, video), video, settings), critical=False)
 
     def _exact_packet(self, run: _Run) -> Packet:
-        camera, grey = self._scene.info.rigs[run.sensor].color, self._scene.info.grey
-        video = VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, grey=grey)
+        camera, gray = self._scene.info.rigs[run.sensor].color, self._scene.info.gray
+        video = VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=gray)
         header = ColorVideoHeader(
             frame=run.frames[0],
             count=len(run.frames),

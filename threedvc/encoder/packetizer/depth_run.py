@@ -27,7 +27,7 @@ MAX_THOROUGH_SAMPLES = 4_000_000
 MIN_WEIGHT = np.float32(1e-6)
 """Where no pixel under a sample was measured: the sample is filled from around."""
 DepthMaps: TypeAlias = list[NDArray[np.float32]]
-"""Depth maps (h, w) in metres, 0 = nothing."""
+"""Depth maps (h, w) in meters, 0 = nothing."""
 
 
 class PictureFormat(NamedTuple):

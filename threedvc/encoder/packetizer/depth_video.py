@@ -43,7 +43,7 @@ MIN_GAIN = 0.05
 ALIKE = 0.01
 """Of choices whose gains differ by no more, the finest is taken: trials are coded less thoroughly."""
 MAX_RATE_SHARE = 0.6
-"""Share of the bytes of a stream of given rate that a video may take: models and colours need the rest; by hand."""
+"""Share of the bytes of a stream of given rate that a video may take: models and colors need the rest; by hand."""
 MAX_SCALE_SHARE = 0.99
 """Of the greatest scale within the limit of samples: sides are rounded."""
 MIN_SIDE = 16

@@ -48,7 +48,7 @@ class ModelPackets:
     config
         Choices.
     finished
-        What the fit to the pictures found; None: the mean colours of the evidence.
+        What the fit to the pictures found; None: the mean colors of the evidence.
     background
         How the stream shows the background.
     """
@@ -58,8 +58,8 @@ class ModelPackets:
     ) -> None:
         self._scene, self._config = scene, config
         self._fitted, self._background = fitted, background
-        self._color = color_settings(config.color, scene.info.grey)
-        # Number of the object of completed surfaces, and the edge of its cells in metres.
+        self._color = color_settings(config.color, scene.info.gray)
+        # Number of the object of completed surfaces, and the edge of its cells in meters.
         self._completed = {} if fitted is None or fitted.inferred is None else dict([fitted.inferred])
         self._surfaces: dict[int, Surface] = {}
 
@@ -134,7 +134,7 @@ class ModelPackets:
         if update.empty:
             return
         sent.model.apply(decoded)
-        sent.unquantised.apply(update)
+        sent.unquantized.apply(update)
         yield ModelHeader(object_id=sent.number, frame=batch.first).packet(payload)
         yield from self._relief(sent, batch.first)
         yield from self._texture(sent, batch.first)
@@ -143,7 +143,7 @@ class ModelPackets:
         """Return what is to be sent of an object, as a live encoder knows it, or as the finished surface has it."""
         if self._config.causal:
             evidence = self._scene.objects[sent.number].evidence
-            return incremental_update(evidence, sent.unquantised, self._config.threads)
+            return incremental_update(evidence, sent.unquantized, self._config.threads)
         return first_visible_update(self._surface(sent), sent.model, until_frame)
 
     def _surface(self, sent: SentObject) -> Surface:
@@ -172,7 +172,7 @@ class ModelPackets:
         while len(payload) > budget_bytes and not update.empty:
             share = BUDGET_SHARE * budget_bytes / len(payload)
             item = self._scene.objects[sent.number]
-            update = select_within(update, item.evidence, sent.unquantised, share, item.in_sight)
+            update = select_within(update, item.evidence, sent.unquantized, share, item.in_sight)
             payload, decoded = self._encode(update, sent)
         return update, payload, decoded
 
@@ -192,7 +192,7 @@ class ModelPackets:
             yield ReliefHeader(object_id=sent.number, frame=frame).packet(payload)
 
     def _texture(self, sent: SentObject, frame: int) -> Iterator[Packet]:
-        """Yield the colours of the texels of cells that were just sent."""
+        """Yield the colors of the texels of cells that were just sent."""
         if self._fitted is None or sent.model.texture is None:
             return
         texels = sent.model.uncolored_texels()

@@ -57,7 +57,7 @@ class Packetizer:
     config
         Choices.
     fitted
-        Colours and gains fitted to the pictures; None: the mean colours of the evidence, and no gains.
+        Colors and gains fitted to the pictures; None: the mean colors of the evidence, and no gains.
     background
         How the stream shows the background, see `threedvc.encoder.packetizer.background_choice`.
     filters
@@ -170,7 +170,7 @@ class Packetizer:
         if not batch.first and self._background.image is not None:
             yield BackdropHeader(frame=batch.first).packet(self._background.image)
         if not batch.first and self._filters is not None:
-            payload = encode_filter(self._filters, self._scene.info.grey)
+            payload = encode_filter(self._filters, self._scene.info.gray)
             yield FilterHeader(frame=batch.first).packet(payload, critical=False)
         yield from (video for video in self._videos if video.header["f"] in batch)
         yield from color_time_packets(self._scene, batch)

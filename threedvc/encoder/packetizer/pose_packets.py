@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Packets of poses: where objects are, and how the camera moved between depth and colour picture."""
+"""Packets of poses: where objects are, and how the camera moved between depth and color picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_STILL_GAP = 2
 
 
 def stream_poses(scene: SceneSource, number: int, frames: Sequence[int]) -> list[Pose]:
-    """Return the poses that the stream carries: the background's before the base, others' in the background."""
+    """Return the poses that the stream carries: the background's before the rig, others' in the background."""
     poses = [scene.objects[number].poses[frame] for frame in frames]
     if not number:
         return poses
@@ -37,7 +37,7 @@ def pose_packets(sent: SentObject, steps: PoseSteps, poses: Sequence[Pose], batc
     sent
         What the decoder has of the object.
     steps
-        Quantisation steps.
+        Quantization steps.
     poses
         Its poses as the stream carries them, one for each moment of the batch.
     batch
@@ -61,7 +61,7 @@ def shift_packets(sent: SentState, scene: SceneSource, shifts: Sequence[Pose], b
 
 
 def _moving(sent: SentObject, steps: PoseSteps, poses: Sequence[Pose]) -> list[bool]:
-    """Tell in which moments an object's pose differs from the one last sent by a quantisation step."""
+    """Tell in which moments an object's pose differs from the one last sent by a quantization step."""
     moving: list[bool] = []
     last = sent.last_pose
     for pose in poses:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The filter of drawn pictures that mends most of a stream's colour error, by least squares."""
+"""The filter of drawn pictures that mends most of a stream's color error, by least squares."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["FILTER_BYTES", "fit_post_filter"]
 FILTER_BYTES = 60
 """What a filter takes in a file at most; measured: 25 to 60 (decision 0014)."""
 CLASS_BYTES = {False: 9.0, True: 5.0}
-"""About what the factors of one class of pixels take, by whether the stream is grey: `FILTER_BYTES` over six classes;
+"""About what the factors of one class of pixels take, by whether the stream is gray: `FILTER_BYTES` over six classes;
 without chroma half of that."""
 FILTER_FRAMES = 40
 """Frames that the fit draws at most: there are twelve unknowns to a class, and every frame has thousands of pixels."""
@@ -61,7 +61,7 @@ def fit_post_filter(packets: Sequence[Packet], frames: FrameSequence, threads: i
     for frame in replay(packets, threads, wanted):
         equations.add(frame.drawn(PostFilter.none()), frames[frame.state.index].color)
     total = sum(len(packet.payload) for packet in packets)
-    return equations.solved(SHARE_PER_BYTE / total, StreamHeader.from_map(packets[0].header).grey)
+    return equations.solved(SHARE_PER_BYTE / total, StreamHeader.from_map(packets[0].header).gray)
 
 
 class _Equations:
@@ -73,7 +73,7 @@ class _Equations:
         self._frames = 0
 
     def add(self, drawn: Picture, wanted: NDArray[np.uint8]) -> None:
-        """Add the equations of a frame: of what is drawn, and the colours (h, w, 3) that it should have."""
+        """Add the equations of a frame: of what is drawn, and the colors (h, w, 3) that it should have."""
         assert drawn.pixel_classes is not None
         planes, classes, height = planes_of(drawn.color), drawn.pixel_classes, len(wanted)
         starts = range(0, height, -(-height // self._threads))
@@ -91,13 +91,13 @@ class _Equations:
         self._side += scale * sides.sum(axis=0)
         self._frames += 1
 
-    def solved(self, share_per_byte: float, grey: bool) -> PostFilter | None:
+    def solved(self, share_per_byte: float, gray: bool) -> PostFilter | None:
         """Return the filters that save more of the squared error than their bytes are worth, or None."""
         factors = np.zeros((PIXEL_CLASSES, FACTORS), dtype=np.int32)
         for pixel_class in range(PIXEL_CLASSES):
-            found = self._factors(pixel_class, PAIRS if grey else FACTORS)
+            found = self._factors(pixel_class, PAIRS if gray else FACTORS)
             saved = found @ (2 * self._side[pixel_class] - self._symmetric(pixel_class) @ found)
-            if saved > CLASS_BYTES[grey] * share_per_byte * self._frames:
+            if saved > CLASS_BYTES[gray] * share_per_byte * self._frames:
                 factors[pixel_class] = np.rint(found / FACTOR_UNIT)
         luma, chroma = factors[:, :PAIRS], factors[:, PAIRS:]
         if not factors.any():

@@ -31,7 +31,7 @@ class ObjectSource(Protocol):
 
     @property
     def poses(self) -> Sequence[Pose]:
-        """T_camera_object before the base in every frame so far."""
+        """T_camera_object before the rig in every frame so far."""
 
     @property
     def evidence(self) -> EvidenceModel:
@@ -85,8 +85,8 @@ class BatchFrames:
     def of(cls, scene: SceneSource, first: int, stop: int) -> BatchFrames:
         """Return the frames ``first..stop`` of a scene."""
         records = scene.records
-        moments = [frame for frame in range(first, stop) if not records[frame].synchronised]
-        return cls(first, stop, moments, first - sum(record.synchronised for record in records[:first]))
+        moments = [frame for frame in range(first, stop) if not records[frame].synchronized]
+        return cls(first, stop, moments, first - sum(record.synchronized for record in records[:first]))
 
     @property
     def count(self) -> int:

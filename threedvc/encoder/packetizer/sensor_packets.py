@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Packets about sensors: whose turn it is, when frames were taken, and the gains of colour cameras."""
+"""Packets about sensors: whose turn it is, when frames were taken, and the gains of color cameras."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["clock_packets", "color_time_packets", "gain_packets", "order_packets
 
 def order_packets(sent: SentState, scene: SceneSource, batch: BatchFrames) -> Iterator[Packet]:
     """Yield the turns of sensors in a batch, unless they go on as before."""
-    turns = [SensorSlot(record.sensor, record.synchronised) for record in scene.records[batch.first : batch.stop]]
+    turns = [SensorSlot(record.sensor, record.synchronized) for record in scene.records[batch.first : batch.stop]]
     if any(sent.sensor_order.at(frame) != turn for frame, turn in enumerate(turns, batch.first)):
         cycle = shortest_cycle(turns)
         sent.sensor_order.begin(batch.first, cycle)
@@ -42,7 +42,7 @@ def clock_packets(sent: SentState, scene: SceneSource, batch: BatchFrames) -> It
 
 
 def color_time_packets(scene: SceneSource, batch: BatchFrames) -> Iterator[Packet]:
-    """Yield when the colour pictures of a batch were taken, unless each was taken with its depth picture."""
+    """Yield when the color pictures of a batch were taken, unless each was taken with its depth picture."""
     offsets = [record.color_offset_ns for record in scene.records[batch.first : batch.stop]]
     if any(offsets):
         yield color_times_packet(batch.first, offsets)
@@ -60,7 +60,7 @@ def gain_packets(
     scene
         Tells which sensor took a frame.
     all_gains
-        (frames, 3, 2) units of the colour camera's gains in all frames so far.
+        (frames, 3, 2) units of the color camera's gains in all frames so far.
     batch
         The frames.
     """

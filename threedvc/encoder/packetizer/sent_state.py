@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the decoder has been sent: models as decoded, poses as quantised, gains, and whose turn it is.
+"""What the decoder has been sent: models as decoded, poses as quantized, gains, and whose turn it is.
 
 Whatever a packet means depends on what the decoder has when it comes. So every writer of packets works on this state,
 and changes the part that its packets change in the decoder.
@@ -24,11 +24,11 @@ __all__ = ["PoseSteps", "SensorClock", "SentObject", "SentState", "pose_steps"]
 STEP_PIXELS = 0.35
 """A pose is rounded by half of this at most, about what registration leaves open; chosen by bytes and pictures."""
 MIN_STEP_M, MAX_STEP_M = 5e-5, 5e-3
-"""Steps of a translation: a twentieth of a millimetre, which no sensor measures, to half a centimetre, which shows."""
+"""Steps of a translation: a twentieth of a millimeter, which no sensor measures, to half a centimeter, which shows."""
 
 
 class PoseSteps(NamedTuple):
-    """Quantisation steps of poses: metres and radians."""
+    """Quantization steps of poses: meters and radians."""
 
     translation_m: float
     rotation_rad: float
@@ -53,8 +53,8 @@ class SentObject:
         Its number; 0 is the background.
     model
         Its model as decoded.
-    unquantised
-        The model that it would be if colours were not quantised.
+    unquantized
+        The model that it would be if colors were not quantized.
     pose_coder
         The coder of its poses.
     last_pose
@@ -65,7 +65,7 @@ class SentObject:
 
     number: int
     model: DecodedModel
-    unquantised: DecodedModel
+    unquantized: DecodedModel
     pose_coder: PoseCoder
     last_pose: Pose | None = None
     next_moment: int | None = None
@@ -111,7 +111,7 @@ class SentState:
     scene
         The scene, as far as it is known when the head of the stream is sent.
     steps
-        Quantisation steps of poses, as the head of the stream tells them.
+        Quantization steps of poses, as the head of the stream tells them.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class SentState:
         self.steps = steps
         self.clocks = [SensorClock.of(scene, number) for number in range(len(sensors))]
         self.objects: dict[int, SentObject] = {}
-        self.gain_coders = [GainCoder(sensor.grey) for sensor in sensors]
+        self.gain_coders = [GainCoder(sensor.gray) for sensor in sensors]
         self.shift_coders = [PoseCoder(*steps) for _ in sensors]
         self.sensor_order = SensorSchedule()
 
@@ -139,7 +139,7 @@ class SentState:
         sent = SentObject(
             number=number,
             model=model,
-            unquantised=DecodedModel(model.voxel_size_m),
+            unquantized=DecodedModel(model.voxel_size_m),
             pose_coder=PoseCoder(*self.steps),
         )
         self.objects[number] = sent

@@ -25,7 +25,7 @@ class _SensorFields(TypedDict):
     start_ns: int
     period_num: int
     period_den: int
-    grey: bool
+    gray: bool
     name: str
 
 
@@ -47,8 +47,8 @@ def stream_head(info: SequenceInfo, sent: SentState) -> list[Packet]:
 
 
 def _sensor_header(info: SequenceInfo, sent: SentState, number: int) -> SensorHeader:
-    T_depth_base = transform_record(info.rigs[number].T_depth_base)
-    return SensorHeader(**_sensor_fields(info.each_sensor[number], sent.clocks[number]), T_depth_base=T_depth_base)
+    T_depth_rig = transform_record(info.rigs[number].T_depth_rig)
+    return SensorHeader(**_sensor_fields(info.each_sensor[number], sent.clocks[number]), T_depth_rig=T_depth_rig)
 
 
 def _sensor_fields(sensor: SensorInfo, clock: SensorClock) -> _SensorFields:
@@ -61,6 +61,6 @@ def _sensor_fields(sensor: SensorInfo, clock: SensorClock) -> _SensorFields:
         "start_ns": clock.start_ns,
         "period_num": clock.period_num,
         "period_den": clock.period_den,
-        "grey": sensor.grey,
+        "gray": sensor.gray,
         "name": sensor.name,
     }

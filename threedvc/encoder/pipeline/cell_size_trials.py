@@ -30,24 +30,24 @@ __all__ = [
 ]
 
 GEOMETRY_SHARE = 0.35
-"""Share of the bytes of surfaces that those without colours take at most, if a video shows the colours."""
+"""Share of the bytes of surfaces that those without colors take at most, if a video shows the colors."""
 CHEAP = 0.1
 """Share of the bytes of surfaces that one bit of relief may add."""
 TRIAL_FRAMES = 100
 """Frames that a size of cells is tried on: more hardly change which size draws best."""
 MIN_CELL_FACTOR, MIN_SHIFTED_CELL_FACTOR = 0.45, 0.65
-"""Cells narrower than about two pixels are not tried, or three where colour and depth have rays of their own: a decoder
+"""Cells narrower than about two pixels are not tried, or three where color and depth have rays of their own: a decoder
 would draw them slowly."""
 MAX_CELL_FACTOR = 16
 """Cells wider or narrower than this many times the default tell nothing of a scene."""
 
 
 def surface_bytes(scene: Scene, luma_step: float, relief_bits: int | None = None, *, colored: bool = True) -> int:
-    """Return how many bytes the surfaces of a scene take, each sent at once with colours of a luma step.
+    """Return how many bytes the surfaces of a scene take, each sent at once with colors of a luma step.
 
-    Without `relief_bits` they have as many as the scene's choices say, and unless `colored` no colours.
+    Without `relief_bits` they have as many as the scene's choices say, and unless `colored` no colors.
     """
-    settings = color_settings(with_step(luma_step), scene.info.grey)
+    settings = color_settings(with_step(luma_step), scene.info.gray)
     bits = scene.config.appearance.relief_bits or 0 if relief_bits is None else relief_bits
     threads = scene.config.threads
     sizes = (
@@ -63,7 +63,7 @@ def _surface(evidence: EvidenceModel, threads: int, colored: bool) -> Surface:
 
 
 def with_affordable_geometry(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
-    """Take wider cells if, without colours, they would take more of a bit rate than a video of these leaves."""
+    """Take wider cells if, without colors, they would take more of a bit rate than a video of these leaves."""
     budget = surface_budget(state)
     if budget is None:
         return state
@@ -118,7 +118,7 @@ def _affordable_relief(scene: Scene, luma_step: float) -> int:
     """Return 1 if one bit of relief costs little beside the surfaces, else 0.
 
     On smooth surfaces it does, and there it is needed most: cells lie in wide steps, whose height the decoder cannot
-    tell from their neighbours. Noise makes it dear, and stands in for it.
+    tell from their neighbors. Noise makes it dear, and stands in for it.
     """
     plain, fine = (surface_bytes(scene, luma_step, bits) for bits in (0, 1))
     return 1 if fine < (1 + CHEAP) * plain else 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Whose colours a file carries: the models', or those of a video, whichever looks better for the bytes.
+"""Whose colors a file carries: the models', or those of a video, whichever looks better for the bytes.
 
-A model that is seen for long, from all sides or at rest, has its colours for a fraction of what a video takes; one of a
+A model that is seen for long, from all sides or at rest, has its colors for a fraction of what a video takes; one of a
 room before a camera in a hand never looks as sharp as its pictures. Nothing but a trial tells which it is.
 """
 
@@ -27,7 +27,7 @@ from threedvc.stream.packets import Packet
 __all__ = ["FileStream", "file_stream"]
 
 HOPE = 0.6
-"""By how much the logarithm of the squared error of models' colours may fall from a quick fit to the end, at most: 2.6
+"""By how much the logarithm of the squared error of models' colors may fall from a quick fit to the end, at most: 2.6
 dB; aligned poses, a filter and narrower cells gave 0.5 to 2 (decision 0032)."""
 OVER_BUDGET = 1.05
 """Times the bytes of a rate that a stream may take: as far as `3dvc encode --bitrate` promises to come."""
@@ -42,7 +42,7 @@ class FileStream:
 
 
 def file_stream(found: Reconstruction, fusion: FusionPass) -> FileStream:
-    """Return the stream of a reconstruction whose objects and poses are found, with the better sort of colours."""
+    """Return the stream of a reconstruction whose objects and poses are found, with the better sort of colors."""
     mode = found.config.color_video
     if mode is ColorVideo.ON:
         return _with_video(found, fusion)
@@ -61,7 +61,7 @@ def file_stream(found: Reconstruction, fusion: FusionPass) -> FileStream:
 
 
 def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
-    """Let a video show the colours."""
+    """Let a video show the colors."""
     state = improve_geometry(found, fusion)
     fitted = fit_geometry(state.scene, fusion.frames)
     builder = _builder(state, fitted, fusion, video=True)
@@ -69,7 +69,7 @@ def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
 
 
 def _with_model_colors(found: Reconstruction, fusion: FusionPass) -> FileStream:
-    """Fit the models' colours to what the frames show of them."""
+    """Fit the models' colors to what the frames show of them."""
     state, shifts = improve(found, fusion)
     fitted = fit_appearance(state.scene, fusion.frames, shifts)
     builder = _builder(state, fitted, fusion, video=False)

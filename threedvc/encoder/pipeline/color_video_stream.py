@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A stream whose colours are a video: models without colours, poses, and what is left of the bytes for pictures."""
+"""A stream whose colors are a video: models without colors, poses, and what is left of the bytes for pictures."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from threedvc.stream.packets import Packet
 __all__ = ["color_video_stream"]
 
 MIN_VIDEO_SHARE = 0.3
-"""Share of a stream of given rate that colours get at least, however much models and a depth video take; by hand."""
+"""Share of a stream of given rate that colors get at least, however much models and a depth video take; by hand."""
 
 
 def color_video_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
-    """Return all packets, with a video of colours, and one of depth where it is worth it."""
+    """Return all packets, with a video of colors, and one of depth where it is worth it."""
     state = builder.state
     writer = ColorVideoWriter(state.scene, frames, builder.batch_frames)
     budget = stream_budget(state)

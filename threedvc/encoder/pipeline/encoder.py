@@ -103,7 +103,7 @@ class Encoder:
         can_encode = can_encode_ffv1 if self.config.video.lossless else can_encode_av1
         if self.config.color_video is ColorVideo.ON and not (again and can_encode()):
             raise ConfigError(
-                "a colour video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "
+                "a color video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "
                 "newer with libsvtav1, or leave out --color-video on"
             )
         if self.config.causal:

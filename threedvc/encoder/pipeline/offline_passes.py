@@ -50,8 +50,8 @@ TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.
 """Registration with the depth: luma counts little, but where the depth leaves a direction open. It refines poses that
 are about right, so whatever is not lost may be trusted."""
 DOUBTED_LUMA = 0.1
-"""Weight of luma in the first pass, when it is not known yet whether depth and colour are registered as the input says:
-a colour camera with another focal length would show other motions."""
+"""Weight of luma in the first pass, when it is not known yet whether depth and color are registered as the input says:
+a color camera with another focal length would show other motions."""
 SURE_LUMA = 2.0
 """Weight of luma where the background is tracked again with a calibration that proved right."""
 BRIDGED_S = 0.5
@@ -74,10 +74,10 @@ def find_objects(info: SequenceInfo, config: EncoderConfig, fusion: FusionPass) 
 
 
 def improve(state: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, list[Pose] | None]:
-    """Choose cells, calibrate cameras and refine poses; return the shifts of the colour pictures, too, if there are
+    """Choose cells, calibrate cameras and refine poses; return the shifts of the color pictures, too, if there are
     any.
 
-    A shift is T_shifted_camera of a frame: how the camera moved between its depth and its colour picture.
+    A shift is T_shifted_camera of a frame: how the camera moved between its depth and its color picture.
     """
     state = with_affordable_cells(state, fusion)
     shifts = None
@@ -168,7 +168,7 @@ def _with_measured_noise(
 
 
 def _with_merged_submaps(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
-    """Bring the parts of models that recognised each other together."""
+    """Bring the parts of models that recognized each other together."""
     items = state.scene.objects.items()
     links = {number: item.tracker.submap_links for number, item in items if item.tracker and item.tracker.submap_links}
     if not links:
@@ -195,7 +195,7 @@ def _with_extrinsics(state: Reconstruction, fusion: FusionPass) -> Reconstructio
 
 
 def _with_color_calibration(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
-    """Calibrate the colour cameras, and find all poses once more with what is then known.
+    """Calibrate the color cameras, and find all poses once more with what is then known.
 
     Where the input's own calibration turns out to be right, luma counts fully, and what was tracked is tracked
     anew. A new one is not quite exact: the depth leads on.
@@ -239,9 +239,9 @@ def _with_closed_loops(state: Reconstruction, fusion: FusionPass) -> Reconstruct
 
 
 def _with_photometric_poses(state: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, list[Pose] | None]:
-    """Move the camera to where pictures fit best; return the shifts of the colour pictures if there are to be any.
+    """Move the camera to where pictures fit best; return the shifts of the color pictures if there are to be any.
 
-    Poses that fit colour and depth serve both, unless the depth alone wants clearly other ones, or the pictures are
+    Poses that fit color and depth serve both, unless the depth alone wants clearly other ones, or the pictures are
     better for it.
     """
     rounds = state.config.appearance.rounds
@@ -274,14 +274,14 @@ def _with_poses_of_depth(common: Reconstruction, fusion: FusionPass) -> tuple[Re
 
 
 def _shifts_between(common: Scene, apart: Scene) -> list[Pose]:
-    """Return T_shifted_camera of every frame, from poses that serve colour and depth and poses of the depth."""
+    """Return T_shifted_camera of every frame, from poses that serve color and depth and poses of the depth."""
     there = [rig.at_sensor for rig in apart.info.rigs]
     poses = zip(common.objects[0].poses, apart.objects[0].poses, apart.records, strict=True)
     return [compose(there[frame.sensor](both), inverse(there[frame.sensor](depth))) for both, depth, frame in poses]
 
 
 def _is_better_apart(common: Reconstruction, apart: Reconstruction, shifts: Sequence[Pose], fusion: FusionPass) -> bool:
-    """Tell whether shifts, about right as yet, give better pictures than poses that serve colour and depth."""
+    """Tell whether shifts, about right as yet, give better pictures than poses that serve color and depth."""
     budget = surface_budget(apart) or surface_bytes(common.scene, common.config.color.luma_step)
     with_shifts = max(budget - SHIFT_BYTES * len(shifts), MIN_SURFACE_SHARE * budget)
     error = rate_distortion_at(apart.scene, fusion.frames, shifts, with_shifts)

@@ -22,7 +22,7 @@ FILE_BATCH_S, LIVE_BATCH_S = 2, 1
 """Seconds of a batch: of a file, where longer ones pack better and seeking stays quick; of a live stream, where a
 viewer waits for them."""
 VIDEO_BATCH_S = 10
-"""Seconds of a batch with a colour video: a picture that is not predicted takes as much as twenty others. Against two
+"""Seconds of a batch with a color video: a picture that is not predicted takes as much as twenty others. Against two
 seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
 MAX_VIDEO_BATCH_SAMPLES = 1 << 27
 """Pixels of such a batch: of 4 bits each they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
@@ -37,9 +37,9 @@ class StreamChoices:
     Attributes
     ----------
     config
-        Choices, with the steps of colours.
+        Choices, with the steps of colors.
     background_step
-        Step of the picture of a background at rest, if it is not that of the colours.
+        Step of the picture of a background at rest, if it is not that of the colors.
     post_filter
         Filter of the drawn pictures, if there is one.
     videos
@@ -73,7 +73,7 @@ def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: Fitted
 
 
 def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = False) -> int:
-    """Return the frames of a batch; `video` tells whether colours are a video."""
+    """Return the frames of a batch; `video` tells whether colors are a video."""
     if config.batch_frames is not None:
         return config.batch_frames
     if not video:

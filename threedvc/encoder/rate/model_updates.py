@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Model updates: the cells that became visible, moved, or changed their colour since the decoder was told."""
+"""Model updates: the cells that became visible, moved, or changed their color since the decoder was told."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CONFIDENT_LOG_ODDS, EMPTY_LOG_ODDS = 2.0, -2.0
 """A cell is confidently there, or empty, at odds of 7 to 1. Measured: with this threshold and one cell of hysteresis
 cells that flicker are sent 2.3 to 3 times less often."""
 RECOLOR_LEVELS = 16.0
-"""A colour is sent anew when it has moved by more levels, the middling step of luma. Measured: 6 % of the bytes."""
+"""A color is sent anew when it has moved by more levels, the middling step of luma. Measured: 6 % of the bytes."""
 MAX_FRONTIER_NEIGHBORS = 3
 """A new cell with no more sent ones around it continues the edge of a surface; with more it doubles the surface."""
 
@@ -36,9 +36,9 @@ def incremental_update(model: EvidenceModel, sent: DecodedModel, threads: int) -
 
     A cell appears when it is confident, or occupied rather than not among confident ones (a threshold for each
     cell alone leaves holes where the surface passes between two), and no cell within one cell of it was sent
-    (noise makes the surface flicker by one cell); it vanishes when it is confidently empty; it changes colour
-    when the mean has moved by more than 16 levels. `sent` holds the colours as they were chosen: against the
-    decoded ones a cell would be sent again for its quantisation error.
+    (noise makes the surface flicker by one cell); it vanishes when it is confidently empty; it changes color
+    when the mean has moved by more than 16 levels. `sent` holds the colors as they were chosen: against the
+    decoded ones a cell would be sent again for its quantization error.
     """
     present = extract_surface(model, threads)
     surface = present.part(_among_sure_ones(present, model, threads))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Choice of cells and quantisation steps for a quality or a bit rate.
+"""Choice of cells and quantization steps for a quality or a bit rate.
 
 A file's rate is met in two steps: the size of the cells follows from what the first pass would take at a middling
-step, the quantisation step of colours, and with it the quality of a backdrop, from the size of the finished stream
+step, the quantization step of colors, and with it the quality of a backdrop, from the size of the finished stream
 itself. A live encoder keeps a leaky bucket: what does not fit waits, poses first.
 """
 
@@ -35,8 +35,8 @@ __all__ = [
 ]
 
 MIDDLE_STEP = 16.0
-"""Luma step by which cells are chosen before colours are fitted. Measured on the kitchen: narrow cells at a middling
-step show more of the depth than wide ones at a fine step, and the same colours (decision 0010)."""
+"""Luma step by which cells are chosen before colors are fitted. Measured on the kitchen: narrow cells at a middling
+step show more of the depth than wide ones at a fine step, and the same colors (decision 0010)."""
 MIN_STEP, MAX_STEP = 0.5, 160.0
 """Luma steps between which that of a rate is sought: half a level, which rounding hides, to most of the 256 levels."""
 MAX_TRIALS = 9
@@ -71,9 +71,9 @@ MIN_LIVE_FACTOR = 0.8
 fr1_rpy at 128 kbit/s: with narrower ones more of the depth is lost (decision 0010)."""
 
 SHARE_PER_BYTE = 0.4
-"""A share of the bytes of a stream is worth this share of its squared error, as steps of quantisation trade them."""
+"""A share of the bytes of a stream is worth this share of its squared error, as steps of quantization trade them."""
 DEPTH_SHARE = 0.5
-"""A tenth off the depth error counts as much as about a fifth of a decibel of colours."""
+"""A tenth off the depth error counts as much as about a fifth of a decibel of colors."""
 
 
 def stream_bytes(packets: Sequence[Packet]) -> int:
@@ -126,7 +126,7 @@ def best_cells(error_of: Callable[[float], float]) -> float:
     Returns
     -------
     float
-        The factor of the least error; between those tried, where a parabola through the best and its neighbours has
+        The factor of the least error; between those tried, where a parabola through the best and its neighbors has
         its least value.
     """
     errors = {0: error_of(1.0), 1: error_of(NARROWER)}
@@ -167,7 +167,7 @@ def bisect_step(
     Parameters
     ----------
     size_of
-        Gives the size for a quantisation step; sizes fall as steps rise.
+        Gives the size for a quantization step; sizes fall as steps rise.
     target_bytes
         Wanted size.
     steps

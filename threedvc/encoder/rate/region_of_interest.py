@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Regions of interest: where errors of colours count more, and bits go."""
+"""Regions of interest: where errors of colors count more, and bits go."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def roi_weights(
 def with_roi_weights(
     update: ModelUpdate, settings: ColorSettings, focuses: Sequence[RegionOfInterest], number: int, voxel_size_m: float
 ) -> tuple[ModelUpdate, ColorSettings]:
-    """Return an update and settings with which its colours are coded as finely as the focus asks.
+    """Return an update and settings with which its colors are coded as finely as the focus asks.
 
     An error may be as large as one over the root of its weight. Steps are those of the heaviest cell; a lighter
     one gets its coarser values by its lower importance.

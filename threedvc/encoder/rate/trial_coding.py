@@ -14,9 +14,9 @@ from threedvc.model.decoded_model import DecodedModel
 __all__ = ["coded_size", "color_settings"]
 
 
-def color_settings(color: ColorConfig, grey: bool) -> ColorSettings:
-    """Return how finely colours are coded."""
-    return ColorSettings(luma_step=color.luma_step, chroma_step=color.chroma_step, grey=grey)
+def color_settings(color: ColorConfig, gray: bool) -> ColorSettings:
+    """Return how finely colors are coded."""
+    return ColorSettings(luma_step=color.luma_step, chroma_step=color.chroma_step, gray=gray)
 
 
 def coded_size(

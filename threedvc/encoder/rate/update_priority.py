@@ -4,8 +4,8 @@
 The uncertainty of a receiver about a cell is the cross-entropy, in bits, of the evidence against what the receiver
 believes. Of a cell that was never sent it believes nothing: occupancy is equiprobable, and so are the 256 levels of
 each channel. Of a cell that was sent it believes what it draws: that it is occupied, as surely as evidence can tell,
-and of its colour, known as well as after one look of weight 1/4; a colour further off than that costs as much as none.
-Once the cell is sent, the entropy of the evidence is left, H(occupancy) + H(colour), see
+and of its color, known as well as after one look of weight 1/4; a color further off than that costs as much as none.
+Once the cell is sent, the entropy of the evidence is left, H(occupancy) + H(color), see
 `threedvc.encoder.fusion.model_entropy`. The difference, a Kullback-Leibler divergence, is the information
 that sending it gains. A receiver looks at the present picture, so what was not in the field of view lately counts less.
 """
@@ -26,7 +26,7 @@ from threedvc.model.model_update import ModelUpdate
 __all__ = ["bits_taken", "information_gain_bits", "select_within"]
 
 CHANNELS = 3
-"""Colours are red, green and blue."""
+"""Colors are red, green and blue."""
 SURE_LOG_ODDS = FusionConfig().max_log_odds
 """A receiver believes what it draws as surely as evidence can tell."""
 OUT_OF_SIGHT = 0.1
@@ -51,7 +51,7 @@ def information_gain_bits(update: ModelUpdate, model: EvidenceModel, sent: Decod
     Returns
     -------
     numpy.ndarray
-        (n,) float64 bits of the added, then the removed, then the recoloured cells; none is below 0.
+        (n,) float64 bits of the added, then the removed, then the recolored cells; none is below 0.
     """
     cells = _cells(update)
     positions = model.index.locate(cells)
@@ -78,7 +78,7 @@ def bits_taken(update: ModelUpdate, member: NDArray[np.int64], blocks: int) -> N
     update
         The cells.
     member
-        (n,) number of the block of each added, removed and recoloured cell.
+        (n,) number of the block of each added, removed and recolored cell.
     blocks
         Number of blocks.
     """
@@ -133,7 +133,7 @@ def _held_colors(sent: DecodedModel, cells: NDArray[np.int32]) -> NDArray[np.int
 
 
 def _part(update: ModelUpdate, keep: NDArray[np.bool_]) -> ModelUpdate:
-    """Return the cells of an update where `keep` (n,), of added, removed and recoloured ones, is true."""
+    """Return the cells of an update where `keep` (n,), of added, removed and recolored ones, is true."""
     counts = [len(group) for group in (update.added, update.removed, update.recolored)]
     added, removed, recolored = np.split(keep, np.cumsum(counts)[:-1])
     colored = np.concatenate([added, recolored])

@@ -25,19 +25,19 @@ MIN_PIXELS_PER_CELL = 1.3
 REFERENCE_PIXELS = 640 * 480
 """Of the picture that `PIXELS_PER_CELL` counts in."""
 BACKGROUND_IMAGE_FACTOR = 1.1
-"""A background at rest before a camera at rest is coloured by a picture: its cells may be a little wider."""
+"""A background at rest before a camera at rest is colored by a picture: its cells may be a little wider."""
 TRANSIENT_FACTOR = 2.0
 """By how much wider the cells are of what is there for a moment."""
 RESIZED = 4
 """Cells of a background that only specks have shown are chosen anew where a frame has so many times the depth."""
 SIZE_DIGITS = 4
-"""Edges are rounded to a tenth of a millimetre: the stream tells them."""
+"""Edges are rounded to a tenth of a millimeter: the stream tells them."""
 
 
 def default_voxel_size(depth: NDArray[np.float32], mask: NDArray[np.bool_], rig: CameraRig) -> float:
     """Choose a cell that covers about 4 pixels of a 640x480 picture at the depth that 3/4 of an object do not exceed.
 
-    Small pictures get finer cells against their pixels; the size is rounded to a millimetre.
+    Small pictures get finer cells against their pixels; the size is rounded to a millimeter.
     """
     seen = depth[mask & (depth > 0)]
     distance = float(np.percentile(seen, 75)) if len(seen) else 1.0
@@ -68,7 +68,7 @@ class CellSizes:
     def size_for(
         self, number: int, views: FrameResolutions, mask: Mask, *, tracked: bool, transient: bool = False
     ) -> float:
-        """Return the edge of the cells of an object that a frame shows at `mask` (h, w), metres."""
+        """Return the edge of the cells of an object that a frame shows at `mask` (h, w), meters."""
         size = self._size(number, views, mask, tracked=tracked)
         return max(round(TRANSIENT_FACTOR * size, SIZE_DIGITS), MIN_VOXEL_SIZE_M) if transient else size
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Calibration of the colour camera against the depth camera from the recording itself.
+"""Calibration of the color camera against the depth camera from the recording itself.
 
 Data sets often come with one set of intrinsics for both cameras and pictures that are not registered. A
-surface point that many frames see has one colour, so the right colour camera is the one in which the lumas
+surface point that many frames see has one color, so the right color camera is the one in which the lumas
 that the frames show at a point agree best. Focal length, the first radial coefficient and the extrinsic, whose
 turn serves for the principal point too, are found by Gauss-Newton steps from coarse to fine; the luma of each
 point and the exposure of each frame are eliminated by subtracting means.
@@ -76,7 +76,7 @@ class Sighting:
     seen
         (n,) whether the frame's depth confirms the point.
     luma
-        (h, w) float32 luma of the colour picture.
+        (h, w) float32 luma of the color picture.
     """
 
     points: Doubles
@@ -183,7 +183,7 @@ def _lumas(
     return np.array(rows, dtype=np.float64)
 
 
-def _centred(lumas: Doubles, used: NDArray[np.bool_]) -> Doubles:
+def _centered(lumas: Doubles, used: NDArray[np.bool_]) -> Doubles:
     """Subtract the mean of every frame and of every point; 0 where not used."""
     values = np.where(used, lumas, 0.0)
     for _ in range(2):
@@ -208,10 +208,10 @@ def _refined(
         base = _lumas(change, rig, sightings, pictures)
         ahead = [_lumas(change + step, rig, sightings, pictures) for step in STEP_SIZE * np.eye(len(change))]
         used = _used(base, *ahead)
-        residual = _centred(base, used)
+        residual = _centered(base, used)
         weight = used / (1 + (residual / OUTLIER_LEVELS) ** 2) ** 2
         weight /= SAMPLES_PER_WITNESS * max(float(np.sum(weight * residual**2) / np.sum(weight)), 1.0)
-        slopes = [_centred(luma - base, used) / STEP_SIZE for luma in ahead]
+        slopes = [_centered(luma - base, used) / STEP_SIZE for luma in ahead]
         matrix = np.array([[np.sum(weight * a * b) for b in slopes] for a in slopes]) + np.diag(1 / SPREAD**2)
         side = np.array([np.sum(weight * a * residual) for a in slopes]) + change / SPREAD**2
         step = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), side)
@@ -236,14 +236,14 @@ def _disagreement(
     used = _used(*lumas)
     ratios = []
     for luma in lumas:
-        within = np.minimum(_centred(luma, used)[used] ** 2, OUTLIER_LEVELS**2)
+        within = np.minimum(_centered(luma, used)[used] ** 2, OUTLIER_LEVELS**2)
         among = np.var(luma[used])
         ratios.append(float(np.sqrt(within.mean() / max(among, 1.0))))
     return ratios[0], ratios[1]
 
 
 def calibrate_color_cameras(scene: Scene, frames: FrameSequence) -> SequenceInfo | None:
-    """Calibrate the colour cameras on the background; None where all present ones are as good.
+    """Calibrate the color cameras on the background; None where all present ones are as good.
 
     Objects that move before a camera at rest change their shade as they turn, which would be taken for
     a wrong camera.

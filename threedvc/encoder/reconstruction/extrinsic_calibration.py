@@ -25,7 +25,7 @@ from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.encoder.registration.registration import RegistrationConfig, RegistrationProblem
 from threedvc.frames.frame import SequenceInfo
 from threedvc.frames.sequence import FrameSequence
-from threedvc.geometry.pose import Pose, compose, exp_motion, inverse, log_motion, orthonormalised
+from threedvc.geometry.pose import Pose, compose, exp_motion, inverse, log_motion, orthonormalized
 from threedvc.metrics.depth_errors import geman_mcclure_error
 from threedvc.stream.pose_status import PoseStatus
 
@@ -45,7 +45,7 @@ OUTLIER = 3.0
 WORTHWHILE = 0.97
 """Part of the depth error that another mounting must leave at most: 3 % off (decision 0018)."""
 BY_DEPTH = RegistrationConfig(luma_weight=0.1)
-"""Sensors see colours each in its own way, and calibration of the colour cameras comes later."""
+"""Sensors see colors each in its own way, and calibration of the color cameras comes later."""
 
 
 class _Correction(NamedTuple):
@@ -67,12 +67,12 @@ def calibrate_extrinsics(scene: Scene, frames: FrameSequence) -> SequenceInfo | 
     rigs = list(info.rigs)
     for sensor in range(1, len(rigs)):
         chosen = _chosen(scene, sensor, COMPARED_FRAMES)
-        before = _depth_error(scene, frames, chosen, model, rigs[sensor].T_depth_base)
-        mount = rigs[sensor].T_depth_base
+        before = _depth_error(scene, frames, chosen, model, rigs[sensor].T_depth_rig)
+        mount = rigs[sensor].T_depth_rig
         for _ in range(ROUNDS):
             mount = _corrected(scene, frames, chosen, model, mount)
         if _depth_error(scene, frames, chosen, model, mount) < WORTHWHILE * before:
-            rigs[sensor] = replace(rigs[sensor], T_depth_base=mount)
+            rigs[sensor] = replace(rigs[sensor], T_depth_rig=mount)
     same = all(one is other for one, other in zip(rigs, info.rigs, strict=True))
     return None if same else info.with_rigs(rigs)
 
@@ -111,7 +111,7 @@ def _corrected(scene: Scene, frames: FrameSequence, chosen: Sequence[int], model
     matrix = np.sum([each.information for each in kept], axis=0)
     side = np.sum([each.information @ each.twist for each in kept], axis=0)
     twist = np.linalg.solve(matrix + 1e-6 * np.trace(matrix) * np.eye(6), side).astype(np.float64)
-    return orthonormalised(compose(exp_motion(twist), mount))
+    return orthonormalized(compose(exp_motion(twist), mount))
 
 
 def _correction(

@@ -17,14 +17,13 @@ from threedvc.encoder.fusion.integration import Observation, observe
 from threedvc.encoder.fusion.noise_meter import NoiseMeter
 from threedvc.encoder.registration.frame_resolutions import Downsampled, FrameResolutions
 from threedvc.encoder.registration.model_view import predicted_and_measured_depth
+from threedvc.frames.depth_limit import limited_depth
 from threedvc.frames.frame import Frame, SequenceInfo, check_frame
-from threedvc.frames.sensor_model import SENSORS, SensorModel, chosen_sensor, within
+from threedvc.frames.sensor_model import SENSORS, SensorModel, chosen_sensor
 from threedvc.geometry.pose import Pose
 
 __all__ = ["SETTLED_SHARE", "FrameIntake", "FrameRecord", "PreparedFrame"]
 
-MAX_DEPTH_M = 1e4
-"""No depth camera measures farther; what says so is no measurement."""
 SETTLED_SHARE = 0.01
 """Share of a frame's pixels with depth from which on it tells the sensor and the size of cells: cameras begin with
 frames of none, or of specks, until their exposure has settled."""
@@ -41,22 +40,22 @@ class FrameRecord:
     timestamp_ns
         When its depth picture was taken.
     color_offset_ns
-        How many nanoseconds later than that its colour picture was.
-    sensor, synchronised
+        How many nanoseconds later than that its color picture was.
+    sensor, synchronized
         The sensor that took it, and whether it did so at the moment of the frame before.
     repeated
         Whether it is a copy of the sensor's one before: it tells nothing new, and is not fused.
     blind
         Whether it has no depth at all.
     gain
-        Units (3, 2) of the gain of the colour camera that its colours were freed of; neutral unless the encoder is
+        Units (3, 2) of the gain of the color camera that its colors were freed of; neutral unless the encoder is
         causal, for others fit gains later.
     """
 
     timestamp_ns: int
     color_offset_ns: int
     sensor: int
-    synchronised: bool
+    synchronized: bool
     repeated: bool
     blind: bool
     gain: NDArray[np.int64]
@@ -129,7 +128,7 @@ class FrameIntake:
                 timestamp_ns=frame.timestamp_ns,
                 color_offset_ns=color_ns - frame.timestamp_ns,
                 sensor=frame.sensor,
-                synchronised=frame.synchronised,
+                synchronized=frame.synchronized,
                 repeated=before is not None and _same_pictures(frame, before),
                 blind=not frame.depth.any(),
                 gain=NEUTRAL,
@@ -146,13 +145,9 @@ class FrameIntake:
         return PreparedFrame(views=self.views(frame), labels=labels, seen=seen)
 
     def with_depth_limit(self, frame: Frame) -> Frame:
-        """Return a frame without what is no number, and without measurements beyond the largest depth.
-
-        That is the one asked for, or else where the sensor is no longer good to 0.1 m.
-        """
-        sensor = self._noise.get(frame.sensor)
-        limit = self._config.max_depth_m or (sensor.reach_m if sensor else MAX_DEPTH_M)
-        return replace(frame, depth=within(frame.depth, limit))
+        """Return a frame with the depth that is used of it."""
+        depth = limited_depth(frame.depth, self._config.max_depth_m, self._noise.get(frame.sensor))
+        return replace(frame, depth=depth)
 
     def views(self, frame: Frame) -> FrameResolutions:
         """Return the resolutions of a frame for registration."""
@@ -181,9 +176,9 @@ class FrameIntake:
             self._noise[number] = SENSORS[better]
 
     def take_out_gain(self, frame: PreparedFrame, background: EvidenceModel, mask: Mask, T_camera_object: Pose) -> None:
-        """Find the gain of a frame's colour camera against the background, record it, and free the frame of it."""
+        """Find the gain of a frame's color camera against the background, record it, and free the frame of it."""
         record = self.records[frame.seen.frame]
-        record.gain = estimate_gain(frame.seen, mask, T_camera_object, background, record.gain, self._info.grey)
+        record.gain = estimate_gain(frame.seen, mask, T_camera_object, background, record.gain, self._info.gray)
         frame.seen = with_gain(frame.seen, record.gain)
 
     def _measure_distance(self, frame: Frame, *, settled: bool) -> None:

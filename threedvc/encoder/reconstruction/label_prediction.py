@@ -34,21 +34,21 @@ def predicted_labels(
     Parameters
     ----------
     depth
-        (h, w) metres.
+        (h, w) meters.
     resolution
         The full one of the sensor.
     sensor
         Noise of its depth.
     models
-        Number, evidence and expected T_base_object of each object.
+        Number, evidence and expected T_rig_object of each object.
     threads
         Number of threads.
     """
     labels = np.zeros(depth.shape, dtype=np.uint8)
     gate = GATE_SIGMAS * sensor.sigma_m(depth.astype(np.float64)) + GATE_SHARE * depth
     nearest = np.full(depth.shape, np.inf)
-    for number, evidence, T_base_object in models:
-        view = raycast_model(evidence, resolution, resolution.rig.at_sensor(T_base_object), threads).depth
+    for number, evidence, T_rig_object in models:
+        view = raycast_model(evidence, resolution, resolution.rig.at_sensor(T_rig_object), threads).depth
         residual = np.where(depth > 0, np.abs(depth - view), 0)
         mine = (view > 0) & (residual <= gate) & (residual < nearest)
         labels[mine], nearest[mine] = number, residual[mine]

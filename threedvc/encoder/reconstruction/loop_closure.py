@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from threedvc.encoder.reconstruction.pose_graph import Link, optimised
+from threedvc.encoder.reconstruction.pose_graph import Link, optimized
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.registration.frame_resolutions import FrameResolutions, ObjectView
 from threedvc.encoder.registration.icp import Alignment
@@ -49,7 +49,7 @@ MIN_OVERLAP, MIN_INLIERS = 0.35, 0.6
 """Parts of the samples that must meet the other frame, and fit: more than where a model is tracked, as a wrong link
 bends the path."""
 WITNESS = 100.0
-"""Neighbouring samples are not independent; so many of them count as one."""
+"""Neighboring samples are not independent; so many of them count as one."""
 BEST_RAD, BEST = 1e-3, 1e-3
 """A link is no surer than this rotation, and this displacement in parts of the distance: sensors bend, shutters roll
 (decision 0029)."""
@@ -120,7 +120,7 @@ def close_loops(scene: Scene, frames: FrameSequence) -> list[TrackedPose | None]
             keys.append(_View(number, scene.views(frame), scene.labels(frame) == 0, at))
     links = _links(keys, scene)
     before = [key.T_world_camera for key in keys]
-    after = zip(keys, optimised(before, links), strict=True)
+    after = zip(keys, optimized(before, links), strict=True)
     corrections = {key.number: compose(pose, inverse(key.T_world_camera)) for key, pose in after}
     if not any(_apart(motion, scene.distance_m, MIN_CORRECTION, MIN_CORRECTION) for motion in corrections.values()):
         return None

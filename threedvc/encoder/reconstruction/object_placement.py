@@ -60,7 +60,7 @@ class ObjectPlacement:
         if motion is not None and item.tracker is not None:
             item.tracker.apply_background_motion(motion)
         if self._labels is None or not item.number or (item.born is None and not item.passing):
-            return self._labelled(item, views, motion)
+            return self._labeled(item, views, motion)
         if item.passing:
             return self._transient(self._labels, item, views[0].views.frame)
         return self._found_by_motion(self._labels, item, views)
@@ -70,7 +70,7 @@ class ObjectPlacement:
         world = self._objects[0].poses[:frame]
         return [T_camera_world @ inverse(world[0]) @ AWAY for T_camera_world in world]
 
-    def _labelled(self, item: SceneObject, views: Sequence[ObjectView], motion: Pose | None) -> TrackedPose | None:
+    def _labeled(self, item: SceneObject, views: Sequence[ObjectView], motion: Pose | None) -> TrackedPose | None:
         """Place the background, or an object that labels show: where it is found, else where it rested."""
         at = item.locate(views, self._rigs, self._alone)
         if at is not None or motion is None:
@@ -115,7 +115,7 @@ class ObjectPlacement:
         return TrackedPose(T_camera_object=at.T_camera_object @ make_pose(np.eye(3), apart), status=PoseStatus.TRACKED)
 
     def _background_motion(self, frame: int) -> Pose | None:
-        """Return how the background moved before the base since the moment before a frame; None if it did not."""
+        """Return how the background moved before the rig since the moment before a frame; None if it did not."""
         background = self._objects.get(0)
         if background is None or background.born is None or not 0 < frame < len(background.poses):
             return None

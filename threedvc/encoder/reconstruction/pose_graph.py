@@ -2,7 +2,7 @@
 """Poses that agree best with measured motions between pairs of them.
 
 Each measurement says how one camera lies in another's frame, and how surely in which directions. Gauss-Newton
-steps minimise the weighted squares of what the poses leave of it; one that contradicts the others loses its weight
+steps minimize the weighted squares of what the poses leave of it; one that contradicts the others loses its weight
 (Geman and McClure 1987), so that a wrong one does no harm. At first all count: a right one that closes a long loop
 contradicts the drifted poses, too, until the drift is spread over the loop (graduated non-convexity).
 """
@@ -15,16 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from threedvc.arrays import Doubles
-from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, log_motion, orthonormalised
+from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, log_motion, orthonormalized
 
-__all__ = ["Link", "optimised"]
+__all__ = ["Link", "optimized"]
 
 STEPS = 30
 """At most: those over which the bound comes down, and some more to converge."""
 GRADES = 12
 """Steps over which the bound of outliers comes down, by a half each."""
 CONVERGED = 1e-7
-"""Radians and metres by which a step still moves poses: far below what a link knows."""
+"""Radians and meters by which a step still moves poses: far below what a link knows."""
 OUTLIER = 6.0
 """Residual in standard deviations, of all six together, at which a link has a quarter of its weight."""
 
@@ -49,7 +49,7 @@ class Link:
     information: Doubles
 
 
-def optimised(poses: Sequence[Pose], links: Sequence[Link]) -> list[Pose]:
+def optimized(poses: Sequence[Pose], links: Sequence[Link]) -> list[Pose]:
     """Return the poses ``T_world_camera`` that fit the links best, near given ones; the first stays.
 
     Parameters
@@ -69,7 +69,7 @@ def optimised(poses: Sequence[Pose], links: Sequence[Link]) -> list[Pose]:
         free = matrix[6:, 6:] + 1e-9 * np.trace(matrix) / len(side) * np.eye(len(side) - 6)
         motion = -np.linalg.solve(free, side[6:])
         poses[1:] = [
-            orthonormalised(compose(exp_motion(motion[6 * k : 6 * k + 6]), pose)) for k, pose in enumerate(poses[1:])
+            orthonormalized(compose(exp_motion(motion[6 * k : 6 * k + 6]), pose)) for k, pose in enumerate(poses[1:])
         ]
         if step >= GRADES and np.abs(motion).max() < CONVERGED:
             break

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What an encoder that can read the frames again does after the first pass.
 
-The finished model knows more than the model so far did when each frame was fused: the colour camera is
+The finished model knows more than the model so far did when each frame was fused: the color camera is
 calibrated against it, every frame's poses are registered with it once more, and all frames are fused anew.
 What the decoder will draw is fitted to the pictures afterwards (`threedvc.encoder.appearance.appearance_fit`).
 """
@@ -17,7 +17,7 @@ from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.reconstruction.scene_object import SceneObject
 from threedvc.encoder.registration.frame_resolutions import ObjectView
 from threedvc.encoder.registration.registration import RegistrationConfig
-from threedvc.encoder.tracking.joint_registration import RegistrationSettings, relocalise_near, reregister
+from threedvc.encoder.tracking.joint_registration import RegistrationSettings, relocalize_near, reregister
 from threedvc.encoder.tracking.pose_track import PoseTracks, TrackedPose, pose_between
 from threedvc.frames.sequence import FrameSequence, frame_sets
 from threedvc.stream.pose_status import PoseStatus
@@ -53,7 +53,7 @@ def _refined(
         return at
     if not at.usable:
         between = pose_between(item.found, frame.index)
-        return relocalise_near(at, between, seen, item.evidence, replace(settings, config=default))
+        return relocalize_near(at, between, seen, item.evidence, replace(settings, config=default))
     if frame.index and before[-1] is not None:
         previous = item.found[frame.index - 1]
         if previous is not None and np.array_equal(previous.T_camera_object, at.T_camera_object):

@@ -40,7 +40,7 @@ class SceneObject:
     found
         Where it was found in every frame so far; None where it was not.
     poses
-        T_camera_object before the base in every frame so far: an unseen object keeps its last pose, at first its
+        T_camera_object before the rig in every frame so far: an unseen object keeps its last pose, at first its
         first one.
     born
         First frame in which it was found.
@@ -82,7 +82,7 @@ class SceneObject:
         """Find the object in the frames of a moment; None where it is not seen and its pose is not known."""
         if self.tracker is None:
             known = ((views.rig, known_pose(self.number, views.frame, alone)) for views, _ in seen)
-            pose = next((rig.at_base(pose) for rig, pose in known if pose is not None), None)
+            pose = next((rig.at_rig(pose) for rig, pose in known if pose is not None), None)
             return None if pose is None else TrackedPose(T_camera_object=pose, status=PoseStatus.KNOWN)
         seeing = [each for each in seen if np.count_nonzero(each.mask & (each.views.frame.depth > 0)) >= MIN_PIXELS]
         if not seeing:
@@ -115,8 +115,8 @@ class SceneObject:
     def is_given(self, at: TrackedPose) -> bool:
         """Tell whether a pose is to be taken as it is.
 
-        Poses of a hand-held camera are worth refining. Those of labelled objects are not: given ones are made
-        on purpose, tracked ones would follow the shades of the model's colours. A background without camera
+        Poses of a hand-held camera are worth refining. Those of labeled objects are not: given ones are made
+        on purpose, tracked ones would follow the shades of the model's colors. A background without camera
         poses stands still, and so does one that was tracked and never moved.
         """
         if self.number > 0 or (at.status is PoseStatus.KNOWN and not self._given_camera):

@@ -30,7 +30,7 @@ INLIER_SIGMAS = 3.0
 INLIER_DEPTH = 0.01
 """The same in parts of the depth: sensors bend by as much."""
 INLIER_M = 0.005
-"""Real sensors are wrong by some millimetres however smooth their depth and however near the surface."""
+"""Real sensors are wrong by some millimeters however smooth their depth and however near the surface."""
 INLIER_LUMA = 30.0
 """Levels by which the luma of a sample that fits may differ: more is another thing, not its shading."""
 DISTANCE, LUMA = 6, 10

@@ -24,7 +24,7 @@ MAX_RATIO = 0.8
 def detect_features(
     picture: NDArray[np.uint8], max_count: int, border: int = ORB_BORDER
 ) -> tuple[Doubles, Descriptors]:
-    """Return pixels (n, 2) of features of a grey picture (h, w), and descriptors (n, 32)."""
+    """Return pixels (n, 2) of features of a gray picture (h, w), and descriptors (n, 32)."""
     detector = cv2.ORB.create(max_count, edgeThreshold=border, fastThreshold=FAST_THRESHOLD)
     points, descriptors = detector.detectAndCompute(picture, None)
     if not len(points):

@@ -165,7 +165,7 @@ class ObjectView(NamedTuple):
 
     @property
     def object_depth(self) -> Floats:
-        """The object's depth (h, w) in metres at the resolution that suits it; 0 = nothing measured, or not of it."""
+        """The object's depth (h, w) in meters at the resolution that suits it; 0 = nothing measured, or not of it."""
         resolution = self.resolution
         mask, depth = resolution.downsample(self.mask), resolution.downsample(self.frame.depth)
         return np.where(mask, depth, np.float32(0))

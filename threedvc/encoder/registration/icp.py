@@ -25,7 +25,7 @@ from threedvc.encoder.registration.registration_types import (
     RegistrationProblem,
     camera_rays,
 )
-from threedvc.geometry.pose import Pose, inverse, make_pose, orthonormalised, rotation_angle, rotation_from_vector
+from threedvc.geometry.pose import Pose, inverse, make_pose, orthonormalized, rotation_angle, rotation_from_vector
 from threedvc.kernels.encoder import registration as kernels
 from threedvc.parallel import for_ranges
 from threedvc.stream.pose_status import PoseStatus
@@ -270,7 +270,7 @@ class Alignment:
     def _judge(self, T_view_frame: Pose, exposure: Doubles | None, conditioning: float, steps: int) -> Registration:
         """Return a pose that was found and how well all samples of the finest level fit there."""
         # Without this, rounding errors of predicted poses would more than double from frame to frame.
-        T_camera_object = orthonormalised(inverse(T_view_frame) @ self.view.T_camera_object)
+        T_camera_object = orthonormalized(inverse(T_view_frame) @ self.view.T_camera_object)
         fit = self._associate(T_view_frame, 0, exposure)
         if fit is None:
             return _lost(T_camera_object, steps)

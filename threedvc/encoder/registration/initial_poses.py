@@ -25,7 +25,7 @@ from threedvc.encoder.registration.registration_types import (
     camera_rays,
 )
 from threedvc.geometry.camera import Camera
-from threedvc.geometry.pose import Pose, inverse, make_pose, nearest_rotation, orthonormalised, rotation_from_vector
+from threedvc.geometry.pose import Pose, inverse, make_pose, orthonormalized, rigid_fit, rotation_from_vector
 from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["initial_poses", "pose_from_features", "predict", "register_multi_start"]
@@ -49,7 +49,7 @@ MATCH_DISTANCE = 0.02
 
 def predict(T_before: Pose, T_previous: Pose) -> Pose:
     """Return the pose that follows two poses at constant velocity."""
-    return orthonormalised(T_previous @ inverse(T_before) @ T_previous)
+    return orthonormalized(T_previous @ inverse(T_before) @ T_previous)
 
 
 def register_multi_start(problem: RegistrationProblem, T_guess: Pose) -> Registration:
@@ -140,13 +140,6 @@ def _lifted(pixels: Doubles, depth: Floats, camera: Camera) -> Doubles:
     return np.column_stack([camera.unproject_pixels(pixels) * z[:, None], z])
 
 
-def _rigid_fit(source: Doubles, target: Doubles) -> Pose:
-    """Return the rigid motion that brings points nearest to their partners (least squares)."""
-    a, b = source.mean(axis=0), target.mean(axis=0)
-    rotation = nearest_rotation((target - b).T @ (source - a))
-    return make_pose(rotation, b - rotation @ a)
-
-
 def _common_motion(source: Doubles, target: Doubles) -> Pose | None:
     """Return the rigid motion that most pairs of points follow, or None where too few agree."""
     draw = np.random.default_rng(0)
@@ -154,10 +147,10 @@ def _common_motion(source: Doubles, target: Doubles) -> Pose | None:
     best = np.zeros(len(source), dtype=np.bool_)
     for _ in range(DRAWS):
         chosen = draw.choice(len(source), 3, replace=False)
-        motion = _rigid_fit(source[chosen], target[chosen])
+        motion = rigid_fit(source[chosen], target[chosen])
         follows = np.linalg.norm(source @ motion[:3, :3].T + motion[:3, 3] - target, axis=1) < bound
         if np.count_nonzero(follows) > np.count_nonzero(best):
             best = follows
     if np.count_nonzero(best) < MIN_MATCHES:
         return None
-    return _rigid_fit(source[best], target[best])
+    return rigid_fit(source[best], target[best])

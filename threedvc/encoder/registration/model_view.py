@@ -70,7 +70,7 @@ def predicted_and_measured_depth(
     *,
     exact: bool = False,
 ) -> tuple[Floats, Floats]:
-    """Return the depths in metres that the evidence shows at a pose, and what a frame measured within `mask` (h, w).
+    """Return the depths in meters that the evidence shows at a pose, and what a frame measured within `mask` (h, w).
 
     Both are of the resolution that suits the mask; 0 = nothing.
     """

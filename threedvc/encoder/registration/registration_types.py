@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 Sigma = Callable[[Doubles], Doubles] | Floats
-"""Noise of the depth in metres: (h, w) float32, or a function of depths (n,) float64."""
+"""Noise of the depth in meters: (h, w) float32, or a function of depths (n,) float64."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class RegistrationConfig:
     luma_weight
         Weight of the luma residuals against the depth residuals; 0 uses depth alone.
     luma_noise
-        Smallest standard deviation of luma residuals, grey levels: the noise of a common camera.
+        Smallest standard deviation of luma residuals, gray levels: the noise of a common camera.
     detail_pixels
         Side of the window whose mean is taken off the luma at the finest level; 0 keeps it.
     coarse_gate, fine_gate
@@ -141,7 +141,7 @@ class DepthSample:
     Attributes
     ----------
     depth
-        (h, w) float32 metres along z; 0 = no measurement.
+        (h, w) float32 meters along z; 0 = no measurement.
     luma
         (h, w) float32 luma 0..255 at the pixels of `depth`; NaN where unknown.
     mask
@@ -189,7 +189,7 @@ class ModelView:
     T_camera_object
         Pose from which the view was cast.
     depth
-        (h, w) float32 metres along z; 0 = unknown or nothing there.
+        (h, w) float32 meters along z; 0 = unknown or nothing there.
     normals
         (h, w, 3) float32 unit normals in the camera's frame, towards the camera; 0 where unknown.
     intensity
@@ -265,10 +265,10 @@ class Registration:
     overlap
         Part of all samples that met known model.
     residual_m
-        Robust standard deviation of the distance to the view's surface, metres.
+        Robust standard deviation of the distance to the view's surface, meters.
     conditioning
         Smallest over largest eigenvalue of the information, rotations being measured by the displacement of a point
-        at typical distance from the samples' centre.
+        at typical distance from the samples' center.
     iterations
         Number of steps taken.
     """

@@ -28,7 +28,7 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["RegistrationSettings", "SensorRegistration", "joint_registration", "relocalise_near", "reregister"]
+__all__ = ["RegistrationSettings", "SensorRegistration", "joint_registration", "relocalize_near", "reregister"]
 
 MAX_TURN_RAD, MAX_SHIFT = 0.1, 0.1
 """Poses that sensors find at one moment differ by less than this turn, and this shift in parts of the distance: more
@@ -72,7 +72,7 @@ class SensorRegistration:
     @property
     def in_rig(self) -> Registration:
         """What was found, with the pose before the rig."""
-        return replace(self.found, T_camera_object=self.rig.at_base(self.found.T_camera_object))
+        return replace(self.found, T_camera_object=self.rig.at_rig(self.found.T_camera_object))
 
     def estimate(self) -> PoseEstimate | None:
         """Return how surely the frame tells the pose; None where it hardly does."""
@@ -129,7 +129,7 @@ def reregister(
     return replace(at, T_camera_object=joint_registration(results).T_camera_object)
 
 
-def relocalise_near(
+def relocalize_near(
     at: TrackedPose, T_guess: Pose, seen: Sequence[ObjectView], model: EvidenceModel, settings: RegistrationSettings
 ) -> TrackedPose:
     """Look for a lost object near a guess in the finished model; it stays lost, at the guess, if it is not there."""
@@ -140,7 +140,7 @@ def relocalise_near(
     found = joint_registration(results)
     if found.status is not PoseStatus.TRACKED:
         return replace(at, T_camera_object=T_guess)
-    return replace(at, T_camera_object=found.T_camera_object, status=PoseStatus.RELOCALISED)
+    return replace(at, T_camera_object=found.T_camera_object, status=PoseStatus.RELOCALIZED)
 
 
 def _against_model(

@@ -21,7 +21,7 @@ from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose, identity
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["PairRegistration", "unlabelled_pixels"]
+__all__ = ["PairRegistration", "unlabeled_pixels"]
 
 POINTS = 3000
 """Points of a frame: shares of them are told to a percent."""
@@ -33,7 +33,7 @@ SHORT = RegistrationConfig(samples=POINTS, luma_weight=LUMA_WEIGHT)
 class PairRegistration:
     """Registers frames of one sensor with each other, from their depth and luma alone.
 
-    Labelled pixels are left out, for what they show may move.
+    Labeled pixels are left out, for what they show may move.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ class PairRegistration:
         self._rays = rig.depth.rays()
 
     def points(self, frame: Frame) -> Doubles:
-        """Return at most `POINTS` measured points (n, 3) in the depth camera, metres."""
-        places = np.flatnonzero((frame.depth > 0) & unlabelled_pixels(frame))
+        """Return at most `POINTS` measured points (n, 3) in the depth camera, meters."""
+        places = np.flatnonzero((frame.depth > 0) & unlabeled_pixels(frame))
         places = places[np.linspace(0, len(places) - 1, min(POINTS, len(places))).astype(int)]
         z = frame.depth.reshape(-1)[places].astype(np.float64)
         return np.column_stack([self._rays.reshape(-1, 2)[places] * z[:, None], z])
@@ -75,11 +75,11 @@ class PairRegistration:
         return DepthSample(
             depth=only.downsample(frame.depth),
             luma=only.luma(frame),
-            mask=only.downsample(unlabelled_pixels(frame)),
+            mask=only.downsample(unlabeled_pixels(frame)),
             camera=only.camera,
         )
 
 
-def unlabelled_pixels(frame: Frame) -> Mask:
-    """Return which pixels (h, w) may be taken for the background: labelled things may move."""
+def unlabeled_pixels(frame: Frame) -> Mask:
+    """Return which pixels (h, w) may be taken for the background: labeled things may move."""
     return np.ones(frame.depth.shape, dtype=bool) if frame.mask is None else frame.mask == 0

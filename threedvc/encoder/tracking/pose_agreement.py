@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.encoder.tracking.pair_registration import PairRegistration, unlabelled_pixels
+from threedvc.encoder.tracking.pair_registration import PairRegistration, unlabeled_pixels
 from threedvc.frames.frame import Frame
 from threedvc.frames.sequence import FactualSequence, FrameSequence
 from threedvc.geometry.camera import Camera
@@ -31,11 +31,11 @@ GAPS = (1, 4, 16)
 TOLERANCE = 0.03
 """Share of the depth by which two frames may differ: sensors scatter by 1 % or less, wrong poses by more than 5."""
 MIN_IN_VIEW = 0.2
-"""Where less of a frame is in the view of its neighbour, the poses say that they do not see the same place."""
+"""Where less of a frame is in the view of its neighbor, the poses say that they do not see the same place."""
 MIN_POINTS = 300
 """Shares of fewer points are told to no better than some percent."""
 MARGIN = 0.12
-"""Poses of good recordings disagree on up to .07 more of the depth than a registration of neighbours does."""
+"""Poses of good recordings disagree on up to .07 more of the depth than a registration of neighbors does."""
 MIN_RATIO = 3.0
 """And so many times as much: where depth is bad everywhere, a margin alone would blame the poses."""
 OTHER_MOTION, OTHER_MARGIN = 0.5, 0.03
@@ -51,7 +51,7 @@ MAX_SHIFT = 30
 
 @dataclass(frozen=True, kw_only=True)
 class PoseAgreement:
-    """How much of the depth of neighbouring frames disagrees under their poses, as shares of 0 to 1.
+    """How much of the depth of neighboring frames disagrees under their poses, as shares of 0 to 1.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class PoseAgreement:
     @property
     def explanation(self) -> str:
         """What is wrong and what to do about it, for a message."""
-        given = f"{_percent(self.as_given)} of the depth disagrees between neighbouring frames"
+        given = f"{_percent(self.as_given)} of the depth disagrees between neighboring frames"
         if self.reading is not None:
             read_so = _percent(self.readings[self.reading.name])
             return f"poses look {self.reading.meaning}: {given}, {read_so} if read so; use --poses {self.reading.name}"
@@ -140,7 +140,7 @@ class _Pair:
             return 1.0
         columns, rows = pixels[inside].astype(int).T
         distances = _distances(
-            np.where(unlabelled_pixels(self.second), self.second.depth, 0), rows, columns, moved[inside, 2]
+            np.where(unlabeled_pixels(self.second), self.second.depth, 0), rows, columns, moved[inside, 2]
         )
         known = np.isfinite(distances)
         return float((distances[known] > TOLERANCE).mean()) if known.any() else float("nan")
@@ -167,7 +167,7 @@ def _relative(first: Pose, second: Pose, reading: PoseReading | None = None) -> 
 
 
 def measure_agreement(frames: FrameSequence, threads: int = 1) -> PoseAgreement | None:
-    """Hold a few pairs of neighbouring frames against each other under their given camera poses.
+    """Hold a few pairs of neighboring frames against each other under their given camera poses.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Camera poses for the frames of a recording that lack one: between their neighbours', or by registration with them."""
+"""Camera poses for the frames of a recording that lack one: between their neighbors', or by registration with them."""
 
 from __future__ import annotations
 

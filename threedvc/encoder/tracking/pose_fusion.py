@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from threedvc.arrays import Doubles
-from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, log_motion, orthonormalised
+from threedvc.geometry.pose import Pose, adjoint, compose, exp_motion, inverse, log_motion, orthonormalized
 
 __all__ = ["PoseEstimate", "fused_pose"]
 
@@ -55,4 +55,4 @@ def fused_pose(estimates: Sequence[PoseEstimate]) -> Pose:
         side += information @ log_motion(inverse(first) @ estimate.T_rig_object)
     floor = MIN_INFORMATION * float(np.linalg.eigvalsh(matrix)[-1]) + 1e-12
     twist = np.linalg.solve(matrix + floor * np.eye(6), side).astype(np.float64)
-    return orthonormalised(compose(first, exp_motion(twist)))
+    return orthonormalized(compose(first, exp_motion(twist)))

@@ -51,14 +51,14 @@ PoseTracks: TypeAlias = dict[int, list[TrackedPose | None]]
 
 
 def merge_submaps(found: Sequence[TrackedPose | None], links: Mapping[int, SubmapLink]) -> list[TrackedPose | None]:
-    """Return located frames with submaps brought to where those that were recognised from them are.
+    """Return located frames with submaps brought to where those that were recognized from them are.
 
     Parameters
     ----------
     found
         Where an object is in every frame.
     links
-        By submap, how it lies to the one that was recognised from it.
+        By submap, how it lies to the one that was recognized from it.
     """
     motions = {}
     for submap in links:

@@ -18,7 +18,7 @@ from threedvc.encoder.tracking.track_state import TrackState
 from threedvc.frames.frame import Frame
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["begin_submap", "coast", "pose_without_registration", "recognise_submap", "relocalise"]
+__all__ = ["begin_submap", "coast", "pose_without_registration", "recognize_submap", "relocalize"]
 
 MIN_KNOWN = 0.3
 """Where a view of the model has less than this part of a frame's pixels, the frame shows something new."""
@@ -88,7 +88,7 @@ def _hold_pose(state: TrackState, seen: Sequence[ObjectView]) -> TrackedPose:
     return TrackedPose(T_camera_object=state.pose, status=PoseStatus.WEAK, submap=state.submaps.current)
 
 
-def relocalise(
+def relocalize(
     state: TrackState,
     found: Registration,
     seen: Sequence[ObjectView],
@@ -103,11 +103,11 @@ def relocalise(
         state.forget_views()
     again = _best_by_keyframes(state, seen, model, settings)
     if again is not None and again.agreement > found.agreement * (found.status is not PoseStatus.LOST):
-        return replace(again, status=PoseStatus.RELOCALISED)
+        return replace(again, status=PoseStatus.RELOCALIZED)
     return replace(found, status=PoseStatus.LOST) if state.lost_frames else found
 
 
-def recognise_submap(
+def recognize_submap(
     state: TrackState,
     found: Registration,
     seen: Sequence[ObjectView],
@@ -122,7 +122,7 @@ def recognise_submap(
     if elsewhere is None:
         return found
     state.submaps.link(found.T_camera_object, elsewhere.T_camera_object)
-    return replace(elsewhere, status=PoseStatus.RELOCALISED)
+    return replace(elsewhere, status=PoseStatus.RELOCALIZED)
 
 
 def _best_by_keyframes(
@@ -148,7 +148,7 @@ def _best_by_keyframes(
             view = raycast_model(model, each.resolution, T_camera_object, settings.threads)
             found = register(settings.problem(each, view), T_camera_object)
             if found.status is PoseStatus.TRACKED:
-                trusted.append(replace(found, T_camera_object=each.rig.at_base(found.T_camera_object)))
+                trusted.append(replace(found, T_camera_object=each.rig.at_rig(found.T_camera_object)))
     return max(trusted, key=lambda found: found.agreement, default=None)
 
 

@@ -15,9 +15,9 @@ from threedvc.encoder.registration.initial_poses import predict
 from threedvc.encoder.registration.model_view import raycast_model
 from threedvc.encoder.registration.registration_types import ModelView
 from threedvc.encoder.tracking.pose_track import SubmapLink
-from threedvc.encoder.tracking.relocalisation import Keyframes
+from threedvc.encoder.tracking.relocalization import Keyframes
 from threedvc.frames.frame import Frame
-from threedvc.geometry.pose import Pose, interpolated, inverse, make_pose, orthonormalised
+from threedvc.geometry.pose import Pose, interpolated, inverse, make_pose, orthonormalized
 from threedvc.units import NANOSECONDS
 
 __all__ = ["RECENT_NS", "SUBMAP_SPACING_CELLS", "Submaps", "TrackState"]
@@ -56,7 +56,7 @@ class Submaps:
     current
         Number of the one that the object is followed in; 0 is the first.
     links
-        By submap, how it lies to the one that was recognised from it.
+        By submap, how it lies to the one that was recognized from it.
     """
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class TrackState:
         following = predict(*self._poses)
         if abs(steps - 1) <= MAX_UNEVENNESS and self.velocity_share == 1:
             return following
-        return orthonormalised(interpolated(self.pose, following, steps * self.velocity_share))
+        return orthonormalized(interpolated(self.pose, following, steps * self.velocity_share))
 
     def go_to(self, pose: Pose, frame: Frame) -> None:
         """Take over the pose in a frame, to which the object moved from the one before."""

@@ -23,7 +23,7 @@ from threedvc.encoder.registration.registration_types import camera_rays
 from threedvc.encoder.tracking import recovery
 from threedvc.encoder.tracking.joint_registration import RegistrationSettings, SensorRegistration, joint_registration
 from threedvc.encoder.tracking.pose_track import SubmapLink, TrackedPose
-from threedvc.encoder.tracking.relocalisation import Keyframes
+from threedvc.encoder.tracking.relocalization import Keyframes
 from threedvc.encoder.tracking.stopwatch import Stopwatch
 from threedvc.encoder.tracking.track_state import TrackState
 from threedvc.frames.sensor_model import SensorModel
@@ -48,7 +48,7 @@ class Tracker:
     again by keyframes, and what they say is registered.
 
     Where it is not found again in time, a new submap of its model begins, from where the object is thought to be but
-    moved far away in the object's own frame, so that nothing wrong is fused. When an earlier submap is recognised, the
+    moved far away in the object's own frame, so that nothing wrong is fused. When an earlier submap is recognized, the
     object is followed there again, and `submap_links` tells how the submaps lie to each other.
 
     Frames that several sensors took at the same moment are registered each, and what they say is joined. Poses are
@@ -100,7 +100,7 @@ class Tracker:
 
     @property
     def submap_links(self) -> Mapping[int, SubmapLink]:
-        """By submap, the motion of its frame to where the one recognised from it has it, and the number of that."""
+        """By submap, the motion of its frame to where the one recognized from it has it, and the number of that."""
         return self._state.submaps.links
 
     def start(self, seen: ObjectView, number: int, *rigs: CameraRig) -> TrackedPose:
@@ -109,7 +109,7 @@ class Tracker:
         `rigs` are the cameras of every sensor.
         """
         with self.stopwatch:
-            pose = seen.rig.at_base(make_pose(np.eye(3), _middle(seen))) if number else identity()
+            pose = seen.rig.at_rig(make_pose(np.eye(3), _middle(seen))) if number else identity()
             self._state.begin(pose, seen, Keyframes(*rigs) if self._recovers else None)
             return TrackedPose(T_camera_object=pose, status=PoseStatus.TRACKED)
 
@@ -131,11 +131,11 @@ class Tracker:
                 if known is not None:
                     return known
             if self._is_doubtful(found):
-                found = recovery.relocalise(state, found, seen, model, settings)
+                found = recovery.relocalize(state, found, seen, model, settings)
             if found.status is PoseStatus.LOST:
                 waits = not self._patience or state.lost_frames < self._patience
                 return recovery.coast(state, frame) if waits else recovery.begin_submap(state, seen, model)
-            found = recovery.recognise_submap(state, found, seen, model, settings)
+            found = recovery.recognize_submap(state, found, seen, model, settings)
             return self._remember(seen, views, found)
 
     def locate_by_picture(self, views: FrameResolutions) -> TrackedPose:
@@ -179,7 +179,7 @@ class Tracker:
         state, config, frame = self._state, self._settings.config, seen[0].frame
         determined = not config.agreement or found.conditioning >= config.min_conditioning
         state.velocity_share = 1.0 if determined else UNDETERMINED_SHARE
-        if found.status is PoseStatus.RELOCALISED:
+        if found.status is PoseStatus.RELOCALIZED:
             state.submaps.current = state.submaps.containing(found.T_camera_object)
             state.stationary = False
             state.jump_to(found.T_camera_object, frame)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Poses that follow the depth of every frame, without its noise from one frame to the next.
 
-Poses that fit colour and depth together know best how a camera moved from frame to frame; poses that fit the depth
+Poses that fit color and depth together know best how a camera moved from frame to frame; poses that fit the depth
 alone know where its surfaces meet those of other frames, but jump by what the noise of one depth picture leaves open.
 What the one differ from the other by has causes that change slowly: instants of exposure that drift apart, drift of the
 model along directions that its shape leaves open. So that difference is smoothed over time, by least squares with a
@@ -36,7 +36,7 @@ UNDETERMINED = 1e-9
 
 
 def smooth_to_depth(
-    found: Sequence[TrackedPose | None], synchronised: Sequence[TrackedPose | None], blind: Sequence[bool]
+    found: Sequence[TrackedPose | None], synchronized: Sequence[TrackedPose | None], blind: Sequence[bool]
 ) -> list[TrackedPose | None]:
     """Return located frames that go from one to the next as others do, and lie where they did on an average.
 
@@ -47,11 +47,11 @@ def smooth_to_depth(
     found
         Where an object is in every frame, by its depth.
     together
-        Where it is by colour and depth.
+        Where it is by color and depth.
     blind
         Whether a frame has no depth: it goes with those about it.
     """
-    pairs = list(zip(found, synchronised, strict=True))
+    pairs = list(zip(found, synchronized, strict=True))
     deviations, moves = np.zeros((len(pairs), 6)), np.zeros(len(pairs), dtype=np.bool_)
     for k, (at, both) in enumerate(pairs):
         if at is not None and both is not None and at.usable and at.status is not PoseStatus.KNOWN:
@@ -77,7 +77,7 @@ def smooth_to_depth(
 def damp_acceleration(poses: Sequence[Pose]) -> list[Pose]:
     """Return poses ``T_camera_object`` near given ones of consecutive frames that change their motion a little less.
 
-    Minimises, over small motions of each camera in its own frame, the sum of their squares plus `DAMPING` times that of
+    Minimizes, over small motions of each camera in its own frame, the sum of their squares plus `DAMPING` times that of
     the changes of motion, turns and shifts alike.
     """
     if len(poses) < 3:
@@ -95,7 +95,7 @@ def damp_acceleration(poses: Sequence[Pose]) -> list[Pose]:
 def smoothed(values: Doubles, weights: Doubles | NDArray[np.bool_], stiffness: Doubles) -> Doubles:
     """Return values (n, c) near weighted ones that change little from each to the next.
 
-    Minimises ``sum weights |x - values|^2 + sum stiffness |x[k + 1] - x[k]|^2``, by elimination from first to last.
+    Minimizes ``sum weights |x - values|^2 + sum stiffness |x[k + 1] - x[k]|^2``, by elimination from first to last.
 
     Parameters
     ----------

@@ -217,7 +217,7 @@ def activity(misses: NDArray[np.int32], y: int, x: int) -> int:
 def code_presence(coder: Coder, models: SliceModels, wish: int, near: int, before: int, x: int) -> int:
     """Code whether a pixel has a value.
 
-    `near` has a bit for each of seven neighbours that have one, `before` nine bits of the frame before and one more if
+    `near` has a bit for each of seven neighbors that have one, `before` nine bits of the frame before and one more if
     it says what comes here.
     """
     says = before >> 9

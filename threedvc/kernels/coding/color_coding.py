@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Quantisation and entropy coding of the transformed colours of one level, compiled.
+"""Quantization and entropy coding of the transformed colors of one level, compiled.
 
-The same traversal writes and reads. When it writes, it also chooses every quantised value so that
+The same traversal writes and reads. When it writes, it also chooses every quantized value so that
 squared error plus a price on bits is smallest.
 """
 
@@ -27,7 +27,7 @@ from threedvc.kernels.coding.color_transform import (
 from threedvc.kernels.coding.mixing import UNIT_INPUT, Mixer, code_mixed_bit, hash_pair, mixed_log_odds, squash
 from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS, READING, Coder, code_adaptive_bit, code_number, overrun
 
-__all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "SIGN_COUNTERS", "Quantiser", "code_colors"]
+__all__ = ["COLOR_MODELS", "COLOR_SETS", "COLOR_WEIGHT_ROWS", "SIGN_COUNTERS", "Quantizer", "code_colors"]
 
 COLOR_MODELS = 7
 """Contexts of `set_contexts`. All numbers here but the last are part of the format (docs/coding.md)."""
@@ -45,21 +45,21 @@ CODING_ORDER = (4, 2, 6, 1, 3, 5, 7)
 """Places of differences: those between the largest parts of a node come first."""
 MAX_ENERGY = 1000
 """What the magnitudes of a node count for at most: enough to tell apart what contexts do."""
-MAX_QUANTISED = 1 << 22
-"""No lawful colour needs more steps of the least size."""
+MAX_QUANTIZED = 1 << 22
+"""No lawful color needs more steps of the least size."""
 NUMBER_LIMIT = 255
 """Bits that a counter remembers, as everywhere."""
 MIN_IMPORTANCE = 1e-5
 """What an error counts for at least, so that a writer's price stays finite."""
 
 
-class Quantiser(NamedTuple):
-    """How coefficients are quantised and coded.
+class Quantizer(NamedTuple):
+    """How coefficients are quantized and coded.
 
     Attributes
     ----------
     steps
-        (channels,) int64 steps of the orthonormal transform, in units of 2^-FRACTION_BITS grey levels.
+        (channels,) int64 steps of the orthonormal transform, in units of 2^-FRACTION_BITS gray levels.
     price
         The writer's price of a bit, in units of step^2 / 256.
     counters
@@ -81,7 +81,7 @@ class Block(NamedTuple):
     ----------
     given
         (8, 2 * channels) int64: predicted, then true; of no meaning to a reader in the second half.
-    decoded, quantised
+    decoded, quantized
         (8, channels) int64.
     weights, left, right
         (8,) int64, see `merge_pairs`.
@@ -91,7 +91,7 @@ class Block(NamedTuple):
 
     given: NDArray[np.int64]
     decoded: NDArray[np.int64]
-    quantised: NDArray[np.int64]
+    quantized: NDArray[np.int64]
     weights: NDArray[np.int64]
     left: NDArray[np.int64]
     right: NDArray[np.int64]
@@ -110,7 +110,7 @@ def bit_length(value: int) -> int:
 
 @kernel
 def energy_around(level: ColorLevel, node: int, channel: int) -> int:
-    """Sum the magnitudes coded at the parent (twice) and at earlier neighbours of a node."""
+    """Sum the magnitudes coded at the parent (twice) and at earlier neighbors of a node."""
     total = 2 * np.int64(level.parent_energy[level.parents[node], channel])
     for d in range(27):
         other = level.near[node, d]
@@ -126,10 +126,10 @@ def set_contexts(
     """Set the contexts of the decision whether a magnitude goes beyond `prefix`."""
     inside = np.int64(0)
     for other in range(1, 8):
-        inside += abs(block.quantised[other, channel])
+        inside += abs(block.quantized[other, channel])
     inside = min(inside, 3)
-    luma = min(abs(block.quantised[place, 0]), 3) if channel > 0 else np.int64(0)
-    chroma = min(abs(block.quantised[place, 1]), 3) if channel > 1 else np.int64(0)
+    luma = min(abs(block.quantized[place, 0]), 3) if channel > 0 else np.int64(0)
+    chroma = min(abs(block.quantized[place, 1]), 3) if channel > 1 else np.int64(0)
     a, b = block.left[place], block.right[place]
     size = min(bit_length(a * b // (a + b)), 15)
     skew = min(bit_length(max(a, b) // min(a, b)), 7)
@@ -149,8 +149,8 @@ def set_contexts(
 
 
 @kernel
-def choose_quantised(residual: int, step: int, log_odds: int, price: float) -> int:
-    """Return the quantised value of least squared error plus price times estimated bits.
+def choose_quantized(residual: int, step: int, log_odds: int, price: float) -> int:
+    """Return the quantized value of least squared error plus price times estimated bits.
 
     `log_odds` are those of a value other than zero.
     """
@@ -182,20 +182,20 @@ def sign_class(value: int) -> int:
 
 @kernel
 def code_sign(
-    coder: Coder, quantiser: Quantiser, block: Block, place: int, channel: int, value: int, guess: int, slope: int
+    coder: Coder, quantizer: Quantizer, block: Block, place: int, channel: int, value: int, guess: int, slope: int
 ) -> int:
     """Code whether a coefficient is negative, given the signs of its prediction and of the channels before."""
-    luma = sign_class(block.quantised[place, 0]) if channel > 0 else 0
-    chroma = sign_class(block.quantised[place, 1]) if channel > 1 else 0
+    luma = sign_class(block.quantized[place, 0]) if channel > 0 else 0
+    chroma = sign_class(block.quantized[place, 1]) if channel > 1 else 0
     context = ((channel * 3 + sign_class(guess)) * 4 + min(slope, 3)) * 9 + luma * 3 + chroma
-    return code_adaptive_bit(coder, 1 if value < 0 else 0, quantiser.signs, context, NUMBER_LIMIT)
+    return code_adaptive_bit(coder, 1 if value < 0 else 0, quantizer.signs, context, NUMBER_LIMIT)
 
 
 @kernel
 def code_coefficient(
     coder: Coder,
     mixer: Mixer,
-    quantiser: Quantiser,
+    quantizer: Quantizer,
     level: ColorLevel,
     node: int,
     height: int,
@@ -203,9 +203,9 @@ def code_coefficient(
     place: int,
     channel: int,
 ) -> None:
-    """Code one difference of a block: set its quantised and its decoded value."""
+    """Code one difference of a block: set its quantized and its decoded value."""
     channels = level.means.shape[1]
-    step = step_of_pair(quantiser.steps[channel], block.left[place], block.right[place])
+    step = step_of_pair(quantizer.steps[channel], block.left[place], block.right[place])
     guess = block.given[place, channel] * DAMPING >> 8
     slope = min(4 * abs(guess) // step, 15)
     around = energy_around(level, node, channel)
@@ -215,17 +215,17 @@ def code_coefficient(
         set_contexts(mixer, block, place, channel, height, around, slope, magnitude)
         log_odds = mixed_log_odds(mixer)
         if magnitude == 0 and coder.state[READING] == 0:
-            price = quantiser.price / max(block.importance[place], MIN_IMPORTANCE)
-            value = choose_quantised(block.given[place, channels + channel] - guess, step, log_odds, price)
+            price = quantizer.price / max(block.importance[place], MIN_IMPORTANCE)
+            value = choose_quantized(block.given[place, channels + channel] - guess, step, log_odds, price)
         if code_mixed_bit(coder, 1 if abs(value) > magnitude else 0, mixer, log_odds) == 0:
             break
         magnitude += 1
     if magnitude == ESCAPE_MAGNITUDE:
-        rest = code_number(coder, abs(value) - magnitude, quantiser.counters, channel * NUMBER_COUNTERS, NUMBER_LIMIT)
-        magnitude += min(rest, MAX_QUANTISED)
-    if magnitude > 0 and code_sign(coder, quantiser, block, place, channel, value, guess, slope):
+        rest = code_number(coder, abs(value) - magnitude, quantizer.counters, channel * NUMBER_COUNTERS, NUMBER_LIMIT)
+        magnitude += min(rest, MAX_QUANTIZED)
+    if magnitude > 0 and code_sign(coder, quantizer, block, place, channel, value, guess, slope):
         magnitude = -magnitude
-    block.quantised[place, channel] = magnitude
+    block.quantized[place, channel] = magnitude
     block.decoded[place, channel] = min(max(guess + magnitude * step, -2 * MAX_VALUE), 2 * MAX_VALUE)
 
 
@@ -240,7 +240,7 @@ def open_block(level: ColorLevel, node: int, block: Block) -> None:
     load_children(level, node, block.given, block.weights, block.importance)
     merge_pairs(block.given, block.weights, block.left, block.right)
     merge_importance(block.importance, block.left, block.right)
-    block.quantised.fill(0)
+    block.quantized.fill(0)
     for channel in range(level.means.shape[1]):
         block.decoded[0, channel] = level.means[node, channel]
 
@@ -251,15 +251,15 @@ def close_block(level: ColorLevel, node: int, block: Block) -> None:
     for channel in range(level.means.shape[1]):
         total = np.int64(0)
         for place in range(1, 8):
-            total += abs(block.quantised[place, channel])
+            total += abs(block.quantized[place, channel])
         level.energy[node, channel] = min(total, MAX_ENERGY)
     split_pairs(block.decoded, block.left, block.right)
     store_children(level, node, block.decoded)
 
 
 @kernel
-def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLevel, height: int) -> bool:
-    """Code the colours of the children of one level; return False if the data end too early.
+def code_colors(coder: Coder, mixer: Mixer, quantizer: Quantizer, level: ColorLevel, height: int) -> bool:
+    """Code the colors of the children of one level; return False if the data end too early.
 
     `height` is 0 where the children are cells, 1 for the level above, and so on.
     """
@@ -286,6 +286,6 @@ def code_colors(coder: Coder, mixer: Mixer, quantiser: Quantiser, level: ColorLe
         for place in CODING_ORDER:
             if block.left[place] > 0 and block.right[place] > 0:
                 for channel in range(channels):
-                    code_coefficient(coder, mixer, quantiser, level, i, height, block, place, channel)
+                    code_coefficient(coder, mixer, quantizer, level, i, height, block, place, channel)
         close_block(level, i, block)
     return True

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Region-adaptive hierarchical transform of cell colours with prediction, compiled.
+"""Region-adaptive hierarchical transform of cell colors with prediction, compiled.
 
 A node of the octree stands for the mean of its cells, in fixed point. Its children are paired along
 x, then y, then z; a pair is replaced by its weighted mean and its difference. The decoder goes the
 other way: the means of a level are known, the differences are read. A difference of cells of weight
-a and b is quantised with the step ``step * sqrt((a + b) / (a b))``, which is the uniform quantiser
+a and b is quantized with the step ``step * sqrt((a + b) / (a b))``, which is the uniform quantizer
 of the orthonormal transform. Differences are predicted from the means around the node.
 """
 
@@ -36,16 +36,16 @@ __all__ = [
 ]
 
 FRACTION_BITS = 10
-"""Bits below the point of colours: rounding in all levels of a tree adds up to far less than a grey level. As all
+"""Bits below the point of colors: rounding in all levels of a tree adds up to far less than a gray level. As all
 numbers here, it is part of the format (docs/coding.md)."""
 MAX_VALUE = 1 << (FRACTION_BITS + 10)
-"""Bound of means, four times what colours of 8 bits can be: no product leaves 63 bits."""
+"""Bound of means, four times what colors of 8 bits can be: no product leaves 63 bits."""
 MIN_COLOR, MAX_COLOR = -256, 511
-"""Range of decoded colours: what a fit asks of cells may lie a range of 8 bits beyond it, on either side."""
+"""Range of decoded colors: what a fit asks of cells may lie a range of 8 bits beyond it, on either side."""
 
 
 class ColorLevel(NamedTuple):
-    """One level of a colour tree whose children are to be coded.
+    """One level of a color tree whose children are to be coded.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class ColorLevel(NamedTuple):
     means
         (n, channels) int64 reconstructed means of the nodes.
     energy, parent_energy
-        (n, channels) int32 sums of quantised magnitudes, of the nodes (written) and of the level above.
+        (n, channels) int32 sums of quantized magnitudes, of the nodes (written) and of the level above.
     near
         (n, 27) int32 nodes around the nodes.
     child_weights
@@ -124,7 +124,7 @@ def integer_root(value: int) -> int:
 
 @kernel
 def to_luma_chroma(colors: NDArray[np.int16], values: NDArray[np.int64]) -> None:
-    """Write Y, Co, Cg (n, 3) of RGB (n, 3), in units of 2^-FRACTION_BITS grey levels."""
+    """Write Y, Co, Cg (n, 3) of RGB (n, 3), in units of 2^-FRACTION_BITS gray levels."""
     for i in range(len(colors)):
         r, g, b = np.int64(colors[i, 0]), np.int64(colors[i, 1]), np.int64(colors[i, 2])
         values[i, 0] = (r + 2 * g + b) << (FRACTION_BITS - 2)
@@ -151,7 +151,7 @@ def sum_children(
     sums: NDArray[np.int64],
     weights: NDArray[np.int64],
 ) -> None:
-    """Add up colours (n, 3) and weights (n,) of the children of every node."""
+    """Add up colors (n, 3) and weights (n,) of the children of every node."""
     child = 0
     sums.fill(0)
     weights.fill(0)
@@ -165,7 +165,7 @@ def sum_children(
 
 @kernel
 def step_of_pair(step: int, a: int, b: int) -> int:
-    """Return the quantiser step of the difference of a pair of weights a and b; `step` < 2^18."""
+    """Return the quantizer step of the difference of a pair of weights a and b; `step` < 2^18."""
     return max(np.int64(1), integer_root(step * step * (a + b) // (a * b)))
 
 
@@ -258,7 +258,7 @@ def load_children(
 
 @kernel
 def store_children(level: ColorLevel, node: int, values: NDArray[np.int64]) -> None:
-    """Write the reconstructed means of a node's children, clamped to what a colour can be."""
+    """Write the reconstructed means of a node's children, clamped to what a color can be."""
     row = level.first[node]
     for octant in range(8):
         if level.masks[node] >> octant & 1:

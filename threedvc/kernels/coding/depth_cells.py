@@ -2,7 +2,7 @@
 """Turning a picture of inverse depths into a layer of cells, compiled.
 
 Inverse depth w is linear in the slopes x, y of a ray where the surface is a plane: with w = a x + b y + c the plane
-is a X + b Y + c Z = 1. So a cell's centre at depth Z, where the picture shows w, is 1 - Z w off it, in units in which
+is a X + b Y + c Z = 1. So a cell's center at depth Z, where the picture shows w, is 1 - Z w off it, in units in which
 (a, b, c) is its normal.
 """
 
@@ -28,7 +28,7 @@ MIN_SHARE = 0.5
 OVERLAP = 0.125
 """How far, in cells, the surface may pass beside a cell that counts; without it there are pinholes in creases."""
 REACH_CELLS = 0.51 + OVERLAP
-"""A cell's centre is within this of the surface along some axis."""
+"""A cell's center is within this of the surface along some axis."""
 PLACE_LIMIT = float(1 << 24)
 """Cells from the origin beyond which bounds are not told apart: far beyond those that an index takes."""
 FAR_DEPTH = 1e30
@@ -66,7 +66,7 @@ class DepthView(NamedTuple):
 
 @kernel
 def tilt(samples: NDArray[np.int64], y: int, x: int, dy: int, dx: int) -> float:
-    """Return the slope of the surface at a sample along an axis, from neighbours on the same surface, per sample."""
+    """Return the slope of the surface at a sample along an axis, from neighbors on the same surface, per sample."""
     here, before, after = samples[y, x], at(samples, y - dy, x - dx), at(samples, y + dy, x + dx)
     goes_back, goes_on = before > 0 and not differ(before, here), after > 0 and not differ(after, here)
     if goes_back and goes_on:
@@ -144,7 +144,7 @@ def find_range(view: DepthView, y: int, x: int, reach: NDArray[np.float64]) -> t
 
 @kernel
 def find_bounds(view: DepthView, y: int, x: int, bounds: NDArray[np.int64]) -> None:
-    """Find the cells, lowest and after the highest (2, 3), whose centres a sample may speak for."""
+    """Find the cells, lowest and after the highest (2, 3), whose centers a sample may speak for."""
     T, lens = view.T_camera_object, view.lens
     reach = np.empty(4)
     find_reach(view, y, x, reach)

@@ -31,7 +31,7 @@ part of the format (docs/coding.md)."""
 MAX_SAMPLE = 1 << 20
 """Greatest sample: finer than any sensor, and products with it stay small."""
 LINEAR, BEFORE, AFTER = 0, 1, 2
-"""Modes: between its neighbours, or on the surface of one of them."""
+"""Modes: between its neighbors, or on the surface of one of them."""
 LEVEL_BINS = 4
 """Levels with counters of their own; the coarser ones have few samples and share them."""
 ENERGY_BINS = 6
@@ -58,12 +58,12 @@ class DepthSamples(NamedTuple):
     values
         (rows, columns) int64 samples as decoded, 0 = nothing there; updated.
     residuals, modes
-        (rows, columns) int64: quantised differences from the predictions, and whether a sample was predicted between
-        its neighbours or from one of them; both 0 at first, updated.
+        (rows, columns) int64: quantized differences from the predictions, and whether a sample was predicted between
+        its neighbors or from one of them; both 0 at first, updated.
     wishes
         (rows, columns) int64 what the writer would like; of no meaning to a reader.
     steps
-        (levels,) int64 quantisation steps, that of the finest level first.
+        (levels,) int64 quantization steps, that of the finest level first.
     dead_zone
         Differences below this many 256ths of a step are coded as none.
     complete
@@ -113,7 +113,7 @@ def is_bent(far: int, near: int, other: int) -> bool:
 
 
 @kernel
-def quantised(difference: int, step: int, dead_zone: int) -> int:
+def quantized(difference: int, step: int, dead_zone: int) -> int:
     """Return the multiple of `step` that is nearest to a difference, 0 within the dead zone."""
     size = abs(difference)
     if 256 * size < dead_zone * step:
@@ -132,7 +132,7 @@ def energy_bin(energy: int) -> int:
 
 @kernel
 def code_presence(coder: Coder, job: DepthSamples, y: int, x: int, a: int, b: int, beside: int) -> bool:
-    """Code whether there is anything at a sample, from two neighbours around it and one beside it."""
+    """Code whether there is anything at a sample, from two neighbors around it and one beside it."""
     if job.complete == 1:
         return True
     inside = 2 if a > 0 and b > 0 else (1 if a > 0 or b > 0 else 0)
@@ -145,12 +145,12 @@ def code_presence(coder: Coder, job: DepthSamples, y: int, x: int, a: int, b: in
 def code_value(
     coder: Coder, job: DepthSamples, y: int, x: int, guess: int, level: int, energy: int, slant: int, sign: int
 ) -> None:
-    """Code the quantised difference of a sample from its prediction.
+    """Code the quantized difference of a sample from its prediction.
 
     `energy` sums magnitudes around, `slant` is 1 where two surfaces meet, `sign` is 0 to 2 for the signs around.
     """
     step, counters = job.steps[level], job.counters
-    units = quantised(job.wishes[y, x] - guess, step, job.dead_zone) if coder.state[READING] == 0 else np.int64(0)
+    units = quantized(job.wishes[y, x] - guess, step, job.dead_zone) if coder.state[READING] == 0 else np.int64(0)
     around = energy_bin(energy)
     first = ZERO_FIRST + (min(level, LEVEL_BINS - 1) * ENERGY_BINS + around) * 2 + slant
     if code_adaptive_bit(coder, 1 if units != 0 else 0, counters, first, COUNTER_LIMIT) == 1:
@@ -232,7 +232,7 @@ def code_root(coder: Coder, job: DepthSamples, y: int, x: int, h: int, last: int
     elif left > 0 or above > 0:
         guess = left if left > 0 else above
     level = len(job.steps) - 1
-    units = quantised(job.wishes[y, x] - guess, job.steps[level], 0) if coder.state[READING] == 0 else np.int64(0)
+    units = quantized(job.wishes[y, x] - guess, job.steps[level], 0) if coder.state[READING] == 0 else np.int64(0)
     folded = code_number(coder, 2 * abs(units) - (1 if units > 0 else 0), job.counters, ROOT_FIRST, COUNTER_LIMIT)
     units = (folded + 1) >> 1 if folded & 1 else -(folded >> 1)
     values[y, x] = min(max(guess + units * job.steps[level], np.int64(1)), np.int64(MAX_SAMPLE))

@@ -40,9 +40,9 @@ UNIT_BITS = 6
 UNIT = 1 << UNIT_BITS
 """Predictions are in 64ths of a step of the table: as finely as contexts tell them apart."""
 REACH = 4 * UNIT
-"""Neighbours that lie farther away than four steps count as four: they are on another surface."""
+"""Neighbors that lie farther away than four steps count as four: they are on another surface."""
 FIT_RANGE, FIT_ERROR = 6 * UNIT + 16, 2 * UNIT + 32
-"""Pixels whose neighbours differ more, or that lie farther off, are at edges and tell nothing of the noise."""
+"""Pixels whose neighbors differ more, or that lie farther off, are at edges and tell nothing of the noise."""
 
 
 @inlined

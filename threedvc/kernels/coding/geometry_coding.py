@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Entropy coding of the child masks of one octree level, compiled.
 
-Contexts see the places around a child within its parent's 2 x 2 x 2 neighbourhood: children coded
+Contexts see the places around a child within its parent's 2 x 2 x 2 neighborhood: children coded
 before it, parents (all known), and the same places of another tree that both sides know.
 """
 

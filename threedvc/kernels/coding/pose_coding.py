@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Prediction, quantisation and entropy coding of poses, compiled.
+"""Prediction, quantization and entropy coding of poses, compiled.
 
-A pose is (7,) float64: unit quaternion ``w, x, y, z``, then translation in metres. Scalars see only
+A pose is (7,) float64: unit quaternion ``w, x, y, z``, then translation in meters. Scalars see only
 + - * / sqrt and floor, each rounded once, so that every machine decodes the same poses.
 """
 
@@ -179,7 +179,7 @@ def measure_residual(
 def repeats_last(
     pose: NDArray[np.float64], last: NDArray[np.float64], steps: NDArray[np.float64], residual: NDArray[np.int64]
 ) -> bool:
-    """Tell whether a pose differs from the last one by less than the quantisation."""
+    """Tell whether a pose differs from the last one by less than the quantization."""
     measure_residual(pose, last, steps, False, residual)
     largest = np.int64(0)
     for k in range(6):
@@ -213,7 +213,7 @@ def follow_poses(
     costs
         (2,) of `compare_pivots`: the cheaper way of turning is taken.
     steps
-        Translation step in metres, rotation step in radians.
+        Translation step in meters, rotation step in radians.
     """
     predicted = np.empty(7)
     for i in range(len(decoded)):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Coding of where in its cell the surface passes, compiled.
 
-A cell's relief is the distance of the surface from the cell's centre along the axis that its plane faces most,
+A cell's relief is the distance of the surface from the cell's center along the axis that its plane faces most,
 in 2^bits levels of equal width across the cell. It is coded as ``1 + 8 axis + level``.
 """
 
@@ -28,7 +28,7 @@ __all__ = ["FLAT", "RELIEF_COUNTERS", "UNSET", "ReliefCells", "code_relief"]
 UNSET = 0
 """Relief of a cell of which none was coded yet. All numbers here are part of the format (docs/coding.md)."""
 FLAT = 255
-"""Relief of a cell that spans no plane: its centre."""
+"""Relief of a cell that spans no plane: its center."""
 SIXTEENTHS = 16
 """Parts of a cell in which places are guessed: half a level of three bits is one."""
 MAX_GUESS = 12
@@ -43,9 +43,9 @@ RELIEF_COUNTERS = GUESS_BINS * TOLD_BINS * NODES
 COUNTER_LIMIT = 255
 """Bits that a counter remembers, as everywhere."""
 MAX_HEIGHT = 24
-"""Largest height of a neighbour, in sixteenths, that counts: what is one and a half cells off is another surface."""
+"""Largest height of a neighbor, in sixteenths, that counts: what is one and a half cells off is another surface."""
 TOLD_WEIGHT = 4
-"""Weight of a neighbour that is told against one that is not, which stands for its centre alone."""
+"""Weight of a neighbor that is told against one that is not, which stands for its center alone."""
 
 
 class ReliefCells(NamedTuple):

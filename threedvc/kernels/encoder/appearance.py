@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Least squares of cell colours through the renderer, and of poses through the pictures, compiled."""
+"""Least squares of cell colors through the renderer, and of poses through the pictures, compiled."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = [
     "add_luma_equations",
     "find_corners",
     "gather_colors",
-    "gather_neighbours",
+    "gather_neighbors",
     "scatter_colors",
 ]
 
 WEIGHT_STEPS = 255.0
 """Weights of interpolation are kept in bytes: 8 of them a sample, and millions of samples."""
 MIN_Z_M = 0.05
-"""Points nearer to a camera, or behind it, are left out: their pixel hangs on every millimetre of the pose."""
+"""Points nearer to a camera, or behind it, are left out: their pixel hangs on every millimeter of the pose."""
 DEPTH_REACH = 2
 """Pixels to both sides over which the slope of a depth is taken: next to each other noise would outweigh it."""
 DOUBT = 0.1
@@ -32,7 +32,7 @@ DOUBT = 0.1
 
 
 class LumaPicture(NamedTuple):
-    """A frame's luma and the colour camera that took it.
+    """A frame's luma and the color camera that took it.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class LumaPicture(NamedTuple):
     camera
         (9,) ``fx, fy, cx, cy, k1, k2, p1, p2, k3``.
     T_color_depth
-        (4, 4) from the depth camera to the colour camera.
+        (4, 4) from the depth camera to the color camera.
     """
 
     luma: Floats
@@ -53,14 +53,14 @@ class LumaPicture(NamedTuple):
 
 @kernel
 def find_corners(points, tables, number, numbers, weights):
-    """Find the coloured cells around points (n, 3) in cells whose centres are integers.
+    """Find the colored cells around points (n, 3) in cells whose centers are integers.
 
     Parameters
     ----------
     tables, number
-        Index of the cells, and (cells,) int32: the number of each coloured cell, -1 for others.
+        Index of the cells, and (cells,) int32: the number of each colored cell, -1 for others.
     numbers, weights
-        (n, 8) int32 and (n, 8) uint8 outputs; weights in 1/255, all 0 where there is no coloured cell.
+        (n, 8) int32 and (n, 8) uint8 outputs; weights in 1/255, all 0 where there is no colored cell.
     """
     positions, parts = np.empty(8, dtype=np.int64), np.empty(8)
     colored = (number >= 0).view(np.uint8)
@@ -76,7 +76,7 @@ def find_corners(points, tables, number, numbers, weights):
 
 @kernel
 def gather_colors(start, stop, numbers, weights, values, shown):
-    """Interpolate colours ``start..stop`` of `shown` (n, 3) float32 from `values` (cells, 3) float32."""
+    """Interpolate colors ``start..stop`` of `shown` (n, 3) float32 from `values` (cells, 3) float32."""
     for i in range(start, stop):
         red, green, blue, total = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
         for k in range(8):
@@ -115,8 +115,8 @@ def scatter_colors(start, stop, numbers, weights, rows, power, values):
 
 
 @kernel
-def gather_neighbours(neighbors, values, factor, result):
-    """Add `factor` times the differences of cells to their neighbours (cells, 6), -1: none, to `result` (cells, 3)."""
+def gather_neighbors(neighbors, values, factor, result):
+    """Add `factor` times the differences of cells to their neighbors (cells, 6), -1: none, to `result` (cells, 3)."""
     for i in range(neighbors.shape[0]):
         for k in range(6):
             other = neighbors[i, k]
@@ -163,7 +163,7 @@ def add_luma_equations(points, luma, T, picture, gain, offset, scale, matrix, si
     Parameters
     ----------
     points, luma
-        (n, 3) float64 points of the object in metres and (n,) their luma.
+        (n, 3) float64 points of the object in meters and (n,) their luma.
     T
         (4, 4) from the object to the depth camera.
     picture

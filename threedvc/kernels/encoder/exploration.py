@@ -34,7 +34,7 @@ class DepthObservation(NamedTuple):
     camera, sensor
         Parameters of the camera and of the noise of its depth.
     depth
-        (h, w) metres, 0 = unknown.
+        (h, w) meters, 0 = unknown.
     mask
         (h, w): where it is not set, something else was seen, and only cells before it learn from that.
     trust
@@ -55,7 +55,7 @@ class DepthObservation(NamedTuple):
 def observe_depth(start, stop, log_odds, cell_size, observation, T_camera_cells, T_cells_camera, delta):
     """Write into `delta` (nx, ny, nz) how a depth picture moves the log-odds of the cells of slabs ``start..stop``.
 
-    The ray of a cell is the one through its centre, as in `threedvc.kernels.encoder.fusion`: the ray sum of eq. (6)-(7)
+    The ray of a cell is the one through its center, as in `threedvc.kernels.encoder.fusion`: the ray sum of eq. (6)-(7)
     near the reading, ``free_log_odds`` before it, nothing behind it. See `DepthObservation`.
     """
     camera, sensor, depth, mask, trust, free_log_odds = observation
@@ -196,7 +196,7 @@ def look_at_cells(start, stop, poses, slopes, cell_size, entropy, taken, opacity
     Parameters
     ----------
     poses
-        (views, 3, 4) T_cells_camera: from metres to cells.
+        (views, 3, 4) T_cells_camera: from meters to cells.
     slopes
         (rays, 2) slopes.
     entropy
@@ -204,7 +204,7 @@ def look_at_cells(start, stop, poses, slopes, cell_size, entropy, taken, opacity
     taken
         (nx, ny, nz) float32 best looks of views that are given.
     opacity
-        (nx, ny, nz) float32 halvings of the rays per metre, finite.
+        (nx, ny, nz) float32 halvings of the rays per meter, finite.
     seen
         (nx, ny, nz) float32: raised to the best look of these views.
     """

@@ -21,7 +21,7 @@ MAX_SLOPE = 1.5
 MAX_DIFFERENCE_M = 1e9
 """More than any two depths differ by."""
 TIE_M = 1e-6
-"""Metres that a pixel of distance counts for: of surfaces equally deep the nearer one gives its label."""
+"""Meters that a pixel of distance counts for: of surfaces equally deep the nearer one gives its label."""
 
 
 class OtherFrames(NamedTuple):
@@ -35,7 +35,7 @@ class OtherFrames(NamedTuple):
         (m, h, w, 2) least and largest depth about each pixel of frames in units of `unit_m`, 0 = unknown; the (n,)
         places of these frames among them.
     unit_m
-        Unit of the pictures in metres.
+        Unit of the pictures in meters.
     camera
         (10,) parameters of the camera.
     """
@@ -80,7 +80,7 @@ def count_free_space_votes(
     Parameters
     ----------
     depth, rays, chosen
-        (h, w) metres, (h, w, 2) slopes, and which pixels count.
+        (h, w) meters, (h, w, 2) slopes, and which pixels count.
     others
         See `OtherFrames`.
     margins
@@ -136,7 +136,7 @@ def connect_surfaces(
 ) -> int:
     """Number the connected surfaces of chosen pixels from 1 in `groups` (h, w), 0 elsewhere; return how many.
 
-    Neighbours of which one is deeper by more than `jump` times the depth are not connected. `stack` has room for all
+    Neighbors of which one is deeper by more than `jump` times the depth are not connected. `stack` has room for all
     pixels.
     """
     height, width = depth.shape

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Integration of one RGB-D frame into the evidence of one object (sec. 2.3).
 
-Work goes block by block: the ray of a cell is the one through its centre, so that every cell reads
+Work goes block by block: the ray of a cell is the one through its center, so that every cell reads
 the state before the frame and writes only its own.
 """
 
@@ -40,20 +40,20 @@ MIN_BAND_CELLS = 2.0
 EXCESS_SIGMA_M = 0.001
 """Added to a sensor's deviation, as poses and calibration err as well: weights of exact readings stay finite."""
 UNIT_SIGMA_M = EXCESS_SIGMA_M + 0.0012
-"""Deviation of a reading of weight 1: a Kinect's at one metre."""
+"""Deviation of a reading of weight 1: a Kinect's at one meter."""
 MAX_WEIGHT = 200.0
 """Weight of a distance at which it stops to grow, so that what was seen often can still change."""
 COLOR_SIGMAS, COLOR_CELLS = 2.0, 1.5
-"""Cells within so many deviations of a reading, or so many edges, take its colour: those that a surface may pass."""
+"""Cells within so many deviations of a reading, or so many edges, take its color: those that a surface may pass."""
 MAX_COLOR_WEIGHT = 1e4
-"""The same for colours, of which a look from one metre weighs 1 at most: they hardly change any more."""
+"""The same for colors, of which a look from one meter weighs 1 at most: they hardly change any more."""
 OUTLINE, OUTLINE_PX = 1.5, 2.0
 """How many times wider than radius over depth a sphere is taken to be seen, and pixels beyond: it is wider aside of the
 axis, and far ones are smaller than a pixel."""
 LENS_SLACK = 0.25
 """Part of a picture by which a lens with distortion may move a block into it."""
 REPEATED_KEYS = 8
-"""Keys listed last that a block is looked for among: a ray and its neighbour meet no more."""
+"""Keys listed last that a block is looked for among: a ray and its neighbor meet no more."""
 KEY_BITS = 21
 """Bits of one coordinate of a block's key: three of them fit into 63."""
 KEY_OFFSET = 1 << (KEY_BITS - 1)
@@ -85,7 +85,7 @@ class DepthReading(NamedTuple):
 
 
 class ColorCells(NamedTuple):
-    """Cells of an object, as colour changes them: coordinates of blocks (n, 3), arrays (n, 512, 3) and (n, 512)."""
+    """Cells of an object, as color changes them: coordinates of blocks (n, 3), arrays (n, 512, 3) and (n, 512)."""
 
     coords: NDArray[np.int32]
     voxel_size: float
@@ -94,7 +94,7 @@ class ColorCells(NamedTuple):
 
 
 class ColorReading(NamedTuple):
-    """A colour picture with the depth picture that was taken with it.
+    """A color picture with the depth picture that was taken with it.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def project_point(x, y, z, camera):
 
 @kernel
 def sensor_sigma(z, sensor):
-    """Return the axial deviation in metres at depth z, see `threedvc.frames.sensor_model`."""
+    """Return the axial deviation in meters at depth z, see `threedvc.frames.sensor_model`."""
     axial = sensor[0] + z * (sensor[1] + z * sensor[2])
     rounding = sensor[3] * z * z
     return np.sqrt(axial * axial + rounding * rounding / 12.0)
@@ -310,9 +310,9 @@ def sample_image(level, u, v, channel):
 
 @kernel
 def fuse_color(numbers, start, stop, cells, reading, T_camera_object):
-    """Update the colour of cells near the measured surface in blocks ``numbers[start:stop]``.
+    """Update the color of cells near the measured surface in blocks ``numbers[start:stop]``.
 
-    `cells` are `ColorCells`, `reading` is a `ColorReading`. A cell takes its colour from the level of the pyramid whose
+    `cells` are `ColorCells`, `reading` is a `ColorReading`. A cell takes its color from the level of the pyramid whose
     pixels are just finer than the cell appears.
     """
     coords, voxel_size, color, weight = cells

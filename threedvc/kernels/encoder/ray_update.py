@@ -25,7 +25,7 @@ MAX_WINDOW = 2 * int(MAX_SIDE) + 1
 def cell_update(log_odds, likelihood, none_likelihood, n, cell):
     """Return how far the log-odds of one cell of a ray move.
 
-    The likelihood of eq. (6) marginalises over all configurations of the other cells, which matter
+    The likelihood of eq. (6) marginalizes over all configurations of the other cells, which matter
     only through their nearest occupied cell (eq. 7). With p the priors, T_i the probability that the
     ray reaches cell i, A_i that of having been stopped before, and S_i that of what comes from i on:
 

@@ -31,7 +31,7 @@ EXTRAPOLATION = 0.5
 NORMAL_REACH = 0.7
 """Cells on either side over which a gradient is taken: so all cells around a point have a say."""
 MIN_SHARE = 1e-6
-"""Added to weights of colours, so that at a cell's centre the others do not weigh nothing at all."""
+"""Added to weights of colors, so that at a cell's center the others do not weigh nothing at all."""
 MAX_DEPTH_STEP = 0.04
 MAX_BEND = 0.006
 MIN_COSINE = 0.9
@@ -46,11 +46,11 @@ class EvidenceCells(NamedTuple):
     Attributes
     ----------
     voxel_size
-        Edge of a cell in metres.
+        Edge of a cell in meters.
     tables
         See `threedvc.kernels.blocks`.
     distance, weight
-        (cells,) signed distances in metres and their weights, 0 = unknown.
+        (cells,) signed distances in meters and their weights, 0 = unknown.
     color, color_weight
         (cells, 3) RGB and (cells,) weights, 0 = unknown.
     """
@@ -64,7 +64,7 @@ class EvidenceCells(NamedTuple):
 
 
 class ViewRays(NamedTuple):
-    """What rays met: (n,) depth in metres, (n, 3) unit normal in the camera, (n,) luma; 0 where nothing is known."""
+    """What rays met: (n,) depth in meters, (n, 3) unit normal in the camera, (n,) luma; 0 where nothing is known."""
 
     depth: Floats
     normal: Floats
@@ -182,7 +182,7 @@ def facing_gradient(x, y, z, d, flat, tables, distance, weight, gradient):
 
 @inlined
 def luma_at(x, y, z, tables, color, color_weight):
-    """Interpolate the luma at (x, y, z), all cells around which are known; NaN where none of them has a colour."""
+    """Interpolate the luma at (x, y, z), all cells around which are known; NaN where none of them has a color."""
     root_origin, root, supers = tables
     total, luma = 0.0, 0.0
     ix, iy, iz = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
@@ -203,7 +203,7 @@ def cast_evidence(rays, numbers, start, stop, T_cells_camera, tiles, cells, flat
     Parameters
     ----------
     rays
-        (n, 2) slopes; `T_cells_camera` (3, 4) leads to shifted cells, t is the depth in metres.
+        (n, 2) slopes; `T_cells_camera` (3, 4) leads to shifted cells, t is the depth in meters.
     tiles
         See `threedvc.kernels.render.tiles.Tiles`.
     cells

@@ -55,7 +55,7 @@ class ViewPictures(NamedTuple):
     Attributes
     ----------
     depth, normals
-        (h, w) metres, 0 = unknown, and (h, w, 3).
+        (h, w) meters, 0 = unknown, and (h, w, 3).
     luma, scale
         Luma of the view, shrunk by `scale`.
     rays, camera
@@ -71,7 +71,7 @@ class ViewPictures(NamedTuple):
 
 
 @kernel
-def neighbour_step(
+def neighbor_step(
     depth: Floats, rays: Doubles, row: int, column: int, dr: int, dc: int, jump: float
 ) -> tuple[float, float, float]:
     """Return the surface step from one pixel towards another, or zeros across a hole or an edge."""
@@ -96,10 +96,10 @@ def surface_normal(
     Steps of `reach` pixels to both sides are added up where both exist, so that noise falls; at a hole
     or an edge one side serves.
     """
-    ax, ay, az = neighbour_step(depth, rays, row, column, 0, reach, jump)
-    bx, by, bz = neighbour_step(depth, rays, row, column, 0, -reach, jump)
-    cx, cy, cz = neighbour_step(depth, rays, row, column, reach, 0, jump)
-    dx, dy, dz = neighbour_step(depth, rays, row, column, -reach, 0, jump)
+    ax, ay, az = neighbor_step(depth, rays, row, column, 0, reach, jump)
+    bx, by, bz = neighbor_step(depth, rays, row, column, 0, -reach, jump)
+    cx, cy, cz = neighbor_step(depth, rays, row, column, reach, 0, jump)
+    dx, dy, dz = neighbor_step(depth, rays, row, column, -reach, 0, jump)
     ax, ay, az = ax - bx, ay - by, az - bz
     cx, cy, cz = cx - dx, cy - dy, cz - dz
     nx, ny, nz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
@@ -226,7 +226,7 @@ def associate(
     Parameters
     ----------
     samples, lumas, sigmas
-        (n, 8) of `sample_frame`, (n,) luma at this level and (n,) depth noise in metres.
+        (n, 8) of `sample_frame`, (n,) luma at this level and (n,) depth noise in meters.
     view
         See `ViewPictures`.
     T_view_frame
@@ -312,8 +312,8 @@ def accumulate_normal_equations(
     ----------
     rows, lumas, sigmas
         As in `associate`.
-    centre
-        (3,) metres.
+    center
+        (3,) meters.
     exposure
         Gain and offset: the view's luma is expected to be ``gain * (luma - 128) + offset``.
     scales
@@ -375,12 +375,12 @@ def accumulate_agreement(
     rows, states
         (n, ROW) and (n,) as `associate` leaves them.
     surface, sigma
-        (n, 8) rows of `sample_frame`, and (n,) depth noise in metres.
+        (n, 8) rows of `sample_frame`, and (n,) depth noise in meters.
     slopes, luma
         (n, 2) slopes of the frame's luma by pixel, and (n,) that luma.
     rotation
         (3, 3) turn from the frame to the view.
-    centre
+    center
         (3,) about which motions turn, in the view's camera.
     focal
         fx and fy.

@@ -13,25 +13,25 @@ __all__ = ["count_neighbors", "find_crossings", "mark_surface", "smooth_distance
 REACH = 3.0
 """Cells from the surface within which distances are straightened: what is read out lies nearer."""
 MAX_JUMP = 4.0
-"""Distances, in cells, by which opposite neighbours on one surface may differ: they are up to 2 sqrt(3) = 3.5 cells
+"""Distances, in cells, by which opposite neighbors on one surface may differ: they are up to 2 sqrt(3) = 3.5 cells
 apart."""
 BEND = 0.5
-"""Cells by which neighbours bend that count half: so edges stay (decision 0011)."""
+"""Cells by which neighbors bend that count half: so edges stay (decision 0011)."""
 MAX_CHANGE = 2.5
-"""Distances, in cells, by which face neighbours on one surface may differ: they are one cell apart, the rest is noise.
+"""Distances, in cells, by which face neighbors on one surface may differ: they are one cell apart, the rest is noise.
 What differs by more is the rim of an occlusion."""
 EVIDENT_CELLS = 4
 """Cells of which one must be occupied: the two at the change of sign and the next two behind them (decision 0003:
 measured on the kitchen, two more lower the share of lost depth from .050 to .001)."""
 NO_CROSSING = 2.0
-"""In cells: none is as far from a centre as its neighbour's."""
+"""In cells: none is as far from a center as its neighbor's."""
 
 
 @kernel
 def smooth_distances(start, stop, coords, tables, voxel_size, distance, weight, min_weight, trust, smooth):
     """Straighten the signed distances of blocks ``start..stop`` near the surface; write them to `smooth` (blocks, 512).
 
-    A cell is drawn to the mean of its opposite neighbours, which on a plane is its own distance: with the weight
+    A cell is drawn to the mean of its opposite neighbors, which on a plane is its own distance: with the weight
     `trust` against its own, and little where they tell of an edge rather than of noise.
     """
     root_origin, root, supers = tables
@@ -70,7 +70,7 @@ def mark_surface(
 ):
     """Mark the surface cells of blocks ``start..stop`` in `surface` (blocks, 512) uint8.
 
-    The surface passes between two face neighbours whose signed distances differ in sign; the nearer of
+    The surface passes between two face neighbors whose signed distances differ in sign; the nearer of
     the two is occupied. A difference of far more than a cell is no surface but the rim of an occlusion.
     One of the two, or of the next two cells behind them, must be occupied by its log-odds: where poses
     scatter by more than the sensor, free space eats into the front of the surface.
@@ -115,7 +115,7 @@ def mark_surface(
 
 @kernel
 def count_neighbors(cells, positions, tables, flags, counts):
-    """Count the set cells among the 26 neighbours of every listed cell; `flags` is (blocks * 512,)."""
+    """Count the set cells among the 26 neighbors of every listed cell; `flags` is (blocks * 512,)."""
     root_origin, root, supers = tables
     for n in range(cells.shape[0]):
         counts[n] = 0
@@ -134,7 +134,7 @@ def count_neighbors(cells, positions, tables, flags, counts):
 
 @kernel
 def find_crossings(cells, positions, tables, distance, weight, subvoxel_offsets):
-    """Write where a surface passes from the centres of cells (n, 3) along each axis, in cells, to `subvoxel_offsets`
+    """Write where a surface passes from the centers of cells (n, 3) along each axis, in cells, to `subvoxel_offsets`
     (n, 3).
 
     `distance` and `weight` are (blocks * 512,), see `EvidenceModel`. Without a change of sign on either side it is the

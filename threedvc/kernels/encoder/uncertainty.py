@@ -18,7 +18,7 @@ MAX_CHANNEL_BITS = 8.0
 def block_entropies(numbers, start, stop, log_odds, color_weight, one_look, spread, entropies):
     """Write the entropy in bits of blocks ``numbers[start:stop]`` into `entropies` (blocks,) float64.
 
-    A cell has the entropy of its occupancy, and of its colour as far as it is occupied: eight bits a
+    A cell has the entropy of its occupancy, and of its color as far as it is occupied: eight bits a
     channel before the first look, then those of a Gaussian whose deviation, `spread` levels after a look
     of weight `one_look`, falls with the root of the weight, and no less than none.
     """

@@ -34,7 +34,7 @@ def magnify(
 ) -> None:  # fmt: skip
     """Set rows ``start:stop`` of `shown` (h, w) to the depths of samples (rows, columns) that cover the picture.
 
-    `levels` (256,) are the depths of sample values in metres, ascending. Where the four samples about a pixel differ
+    `levels` (256,) are the depths of sample values in meters, ascending. Where the four samples about a pixel differ
     by a factor of more than `edge` two surfaces meet: there `drawn` (h, w), if it is between, tells which of them it
     is. Where nothing is drawn nothing is shown, unless the video is `complete`.
     """

@@ -16,7 +16,7 @@ MAX_BEND = 0.003
 """Part of the inverse depth by which the four may be off a plane. Measured: with 0.8 % pictures take 0 to 3 ms less of
 70 to 90, and lose .001 to .005 of the depth within 1 % (decision 0006)."""
 MAX_PAIR_STEP = 0.005
-"""Part of the depth by which two neighbours in the last step may differ. Measured: with pairs 13.7 instead of 15.1 % of
+"""Part of the depth by which two neighbors in the last step may differ. Measured: with pairs 13.7 instead of 15.1 % of
 the rays are cast on the kitchen, at the same quality (decision 0006)."""
 
 
@@ -60,7 +60,7 @@ def interpolate_or_want(depth, labels, wanted, place, a, b, c, d):
 def interpolate_centers(start, stop, width, height, reach, depth, labels, wanted):
     """Interpolate rays amid four at a distance of `reach` to both sides, above and below, or want them cast.
 
-    These are at the rows and columns that are odd multiples of `reach`; their neighbours are at even ones.
+    These are at the rows and columns that are odd multiples of `reach`; their neighbors are at even ones.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """First-opacity ray casting of decoded models.
 
-Coordinates are in cells, shifted by half a cell so that integers are cell centres. Around a point the
+Coordinates are in cells, shifted by half a cell so that integers are cell centers. Around a point the
 surface is the zero of the weighted mean of the signed distances to the planes of the eight nearest
 cells; the weights are trilinear and count occupied cells only. A ray is stopped where that mean changes
 sign, if enough of the eight cells are occupied there or before the sign changes back.
@@ -28,7 +28,7 @@ OPACITY = 0.3
 """Weight of the occupied cells among eight that stops a ray: so outlines are round, and holes of one cell close
 (decision 0003). As all numbers here, every reader must use it."""
 FAR = 1e9
-"""No surface, as a distance in cells or a depth in metres: nothing is drawn that far away."""
+"""No surface, as a distance in cells or a depth in meters: nothing is drawn that far away."""
 GRAZE = 0.4
 """Cells from a surface within which a ray is stopped that slips through the shell. Measured on the kitchen: where it
 goes on .134 of the depth is lost instead of .050 (decision 0003)."""
@@ -91,7 +91,7 @@ class Passage(NamedTuple):
     ----------
     nearest_at, nearest
         Parameter and distance of the nearest approach to a surface that the ray has not crossed; distance FAR: none.
-        A ray that leaves the neighbourhood of a surface may be stopped there, else a shell of one cell would have
+        A ray that leaves the neighborhood of a surface may be stopped there, else a shell of one cell would have
         streaks.
     crossed_at
         Parameter at which the ray has crossed a surface where too little is opaque, or FAR: if enough is further on,
@@ -200,7 +200,7 @@ def refine_hit(corners, plane, block, base, line, outward, low, f_low, high, f_h
 
 @kernel
 def is_stopped(distance, outward, unit):
-    """Tell whether a ray is stopped that leaves the neighbourhood of a surface without having crossed it.
+    """Tell whether a ray is stopped that leaves the neighborhood of a surface without having crossed it.
 
     It has slipped through a shell of one cell if it came near and the surface still faces it where it leaves; beside
     a rim, behind which the surface turns away, it must have come much nearer.
@@ -357,13 +357,13 @@ def cast_rays(rays, order, start, stop, T_cells_camera, tiles, blocks, label, op
     rays
         (n, 2) float64 slopes.
     T_cells_camera
-        (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in metres.
+        (3, 4) from the camera to shifted cell coordinates; t of a ray is its depth in meters.
     tiles
         See `threedvc.kernels.render.tiles.Tiles`.
     blocks
         See `CastBlocks`.
     depth, labels
-        (n,) float32 metres, 0 = nothing; (n,) uint8; updated.
+        (n,) float32 meters, 0 = nothing; (n,) uint8; updated.
     """
     tile_origin, tile_size, tile_near, tile_far = tiles
     tables, skip, corners, plane = blocks

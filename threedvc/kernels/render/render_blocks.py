@@ -2,7 +2,7 @@
 """What the ray caster needs of a model: blocks with a border, and a plane for every occupied cell.
 
 A render block holds the 9x9x9 cells from its own first cell on, so that the eight cells around any
-point between cell centres lie in one block.
+point between cell centers lie in one block.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def fit_plane(counts, moments, products, plane):
     counts
         Sum of weights.
     moments, products
-        Sums of weight times (x, y, z) and times (xx, yy, zz, xy, xz, yz), in cells from the cell's centre.
+        Sums of weight times (x, y, z) and times (xx, yy, zz, xy, xz, yz), in cells from the cell's center.
     plane
-        (4,) int8 output: normal * 127, offset of the plane from the centre along it * 127; all 0 where
+        (4,) int8 output: normal * 127, offset of the plane from the center along it * 127; all 0 where
         the cells span no plane.
     """
     mx, my, mz = moments[0] / counts, moments[1] / counts, moments[2] / counts
@@ -94,8 +94,8 @@ def fit_plane(counts, moments, products, plane):
 def fit_planes(numbers, start, stop, coords, tables, occupied, relief, places, weights, planes):
     """Fit the planes of the occupied cells of blocks ``numbers[start:stop]`` into `planes` (blocks, 512, 4) int8.
 
-    A cell counts with the point of it, of `places` (256, 3) in cells from its centre, that its relief (blocks, 512)
-    names; `weights` (5,) float64 weighs it by the distance of its centre along each axis.
+    A cell counts with the point of it, of `places` (256, 3) in cells from its center, that its relief (blocks, 512)
+    names; `weights` (5,) float64 weighs it by the distance of its center along each axis.
     """
     root_origin, root, supers = tables
     side = BLOCK_SIDE + 2 * REACH

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colour of surface points: trilinear interpolation between the coloured cells around them."""
+"""Color of surface points: trilinear interpolation between the colored cells around them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ __all__ = [
 ]
 
 MIN_WEIGHT = 1e-9
-"""Added to weights, so that at a cell's centre the others do not weigh nothing at all. As the next two, every reader
+"""Added to weights, so that at a cell's center the others do not weigh nothing at all. As the next two, every reader
 must use it."""
 LIGHT_TERMS = 8
-"""Linear and quadratic terms of a direction, the constant being the colour itself."""
+"""Linear and quadratic terms of a direction, the constant being the color itself."""
 MIN_LIGHT = 0.05
-"""Factor of colours at least, so that a fit's undershoot makes nothing black, or negative."""
+"""Factor of colors at least, so that a fit's undershoot makes nothing black, or negative."""
 
 
 class SurfaceCells(NamedTuple):
@@ -54,14 +54,14 @@ class SurfaceCells(NamedTuple):
 
 @kernel
 def interpolation(x, y, z, tables, colored, positions, weights):
-    """Find the coloured cells around a point and their weights, which sum up to one; return False if there are none.
+    """Find the colored cells around a point and their weights, which sum up to one; return False if there are none.
 
     Parameters
     ----------
     x, y, z
-        The point in cells; integers are cell centres.
+        The point in cells; integers are cell centers.
     tables, colored
-        Index of the cells, and (cells,) uint8: which of them have a colour.
+        Index of the cells, and (cells,) uint8: which of them have a color.
     positions, weights
         (8,) int64 and (8,) float64 outputs; a weight is 0 where there is no cell.
     """
@@ -87,20 +87,20 @@ def interpolation(x, y, z, tables, colored, positions, weights):
 
 @kernel
 def shade(start, stop, slopes, depth, labels, label, T_cells_camera, tables, colored, colors, color, known):
-    """Colour the rays ``start..stop`` that met one object.
+    """Color the rays ``start..stop`` that met one object.
 
     Parameters
     ----------
     slopes
         (n, 2) float64 slopes of the rays.
     depth, labels
-        (n,) float32 metres along z and (n,) uint8: what the rays met.
+        (n,) float32 meters along z and (n,) uint8: what the rays met.
     T_cells_camera
-        (3, 4) from the camera to cells whose centres are integers.
+        (3, 4) from the camera to cells whose centers are integers.
     tables, colored, colors
         Index of the cells, (cells,) uint8 and (cells, 3) int16 RGB.
     color, known
-        (n, 3) float32 and (n,) uint8, written where the object was met and has a coloured cell.
+        (n, 3) float32 and (n,) uint8, written where the object was met and has a colored cell.
     """
     T = T_cells_camera
     root_origin, root, supers = tables
@@ -148,7 +148,7 @@ def round_colors(start, stop, values, gain, offset, picture):
 
 @kernel
 def shade_from_picture(start, stop, slopes, depth, labels, T_picture_camera, camera, picture, beyond, color, known):
-    """Colour the rays ``start..stop`` that met the background (label 0) from a picture of it.
+    """Color the rays ``start..stop`` that met the background (label 0) from a picture of it.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def shade_from_picture(start, stop, slopes, depth, labels, T_picture_camera, cam
     picture
         (h, w, 3) uint8 RGB.
     beyond
-        Whether rays that met nothing take their colour from the picture, too, as if it lay infinitely far away.
+        Whether rays that met nothing take their color from the picture, too, as if it lay infinitely far away.
     """
     T = T_picture_camera
     height, width = picture.shape[0], picture.shape[1]
@@ -203,7 +203,7 @@ def normal_at(x, y, z, dx, dy, dz, tables, occupied, planes, positions, weights,
     Parameters
     ----------
     x, y, z
-        The point in cells; integers are cell centres.
+        The point in cells; integers are cell centers.
     tables, occupied, planes
         Index of the cells, (cells,) uint8 and (cells, 4) int8.
     positions, weights
@@ -253,7 +253,7 @@ def light_bases(normals, terms):
 
 @kernel
 def relight(start, stop, slopes, depth, labels, label, T_cells_camera, R_world_object, light, cells, color):
-    """Multiply the colours of rays ``start..stop`` that met an object by the light on its surface there.
+    """Multiply the colors of rays ``start..stop`` that met an object by the light on its surface there.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ class Tiles(NamedTuple):
     origin, size
         (2,) slope of the first tile's corner, and extent of a tile, along x and y.
     near, far
-        (rows, columns) float64 metres.
+        (rows, columns) float64 meters.
     """
 
     origin: NDArray[np.float64]

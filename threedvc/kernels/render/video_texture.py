@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colours of surfaces gathered from the pictures of a video: sums of integers, the same in every order of pixels."""
+"""Colors of surfaces gathered from the pictures of a video: sums of integers, the same in every order of pixels."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class SeenSurface(NamedTuple):
     slopes
         (h * w, 2) float64 slopes of the pixels' rays.
     depth, labels
-        (h, w) float32 metres along z and (h, w) uint8: what they meet first.
+        (h, w) float32 meters along z and (h, w) uint8: what they meet first.
     label
         The object.
     T_texels_camera
-        (3, 4) from the camera to texels whose centres are integers.
+        (3, 4) from the camera to texels whose centers are integers.
     max_ratio
-        Depths of neighbours that differ by more than this factor lie on different surfaces.
+        Depths of neighbors that differ by more than this factor lie on different surfaces.
     """
 
     slopes: NDArray[np.float64]
@@ -51,7 +51,7 @@ class GatheredTexels(NamedTuple):
     colors
         (texels, 3) int16 means.
     known
-        (texels,) uint8: which of them have a colour.
+        (texels,) uint8: which of them have a color.
     """
 
     sums: NDArray[np.int32]
@@ -62,7 +62,7 @@ class GatheredTexels(NamedTuple):
 
 @kernel
 def inside_surface(y, x, seen):
-    """Tell whether a pixel shows the object, and all its neighbours the same surface: it holds no other's colour."""
+    """Tell whether a pixel shows the object, and all its neighbors the same surface: it holds no other's color."""
     _, depth, labels, label, _, max_ratio = seen
     z = depth[y, x]
     if z <= 0.0 or labels[y, x] != label:
@@ -106,7 +106,7 @@ def surface_texels(start, stop, seen, texels, found):
 
 @kernel
 def gather_colors(texels, found, picture, max_count, tables, gathered):
-    """Add a picture (h, w, 3) uint8 to the texels that its pixels show, and update their colours.
+    """Add a picture (h, w, 3) uint8 to the texels that its pixels show, and update their colors.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ PART = np.dtype(
 )
 """One primitive of one picture.
 
-``size`` in metres as in `threedvc.synthesis.shapes`; ``colors`` in 0..255; ``scale`` is the period of the
-pattern along u and v in metres; ``picture`` is the first texel, height and width of a picture.
+``size`` in meters as in `threedvc.synthesis.shapes`; ``colors`` in 0..255; ``scale`` is the period of the
+pattern along u and v in meters; ``picture`` is the first texel, height and width of a picture.
 """
 Vector = tuple[float, float, float]

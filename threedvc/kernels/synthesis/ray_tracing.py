@@ -25,7 +25,7 @@ __all__ = ["TILE", "mark_hidden", "trace_color", "trace_depth"]
 TILE = 8
 """Pixels along a side of a tile, whose parts are selected at once: few beside 64 rays, and still narrow."""
 NEAREST_T = 1e-9
-"""Depth in metres up to which a hit is the camera itself."""
+"""Depth in meters up to which a hit is the camera itself."""
 SHADOW_T = 1e-6
 """Part of the way to a light up to which a hit is the surface itself, by rounding."""
 ROUNDING = 1e-9
@@ -73,7 +73,7 @@ def select_parts(bounds: NDArray[np.float64], rays: NDArray[np.float64], selecte
     """List the parts whose bounding spheres the rays of a tile may meet; returns how many.
 
     With c the unit direction of the tile's middle ray and w the largest ``|e - c|`` over the unit directions e
-    of its rays, a ray passes a sphere's centre b at no less than ``dist(b, c) - w |b|``.
+    of its rays, a ray passes a sphere's center b at no less than ``dist(b, c) - w |b|``.
     """
     height, width = rays.shape[0], rays.shape[1]
     c = unit_direction(rays[height // 2, width // 2])
@@ -104,7 +104,7 @@ def unit_direction(slope: NDArray[np.float64]) -> Vector:
 
 @kernel
 def nearest_part(parts: Any, bounds: NDArray[np.float64], selected: NDArray[np.int64], d: Vector) -> tuple[int, float]:
-    """Return which of the selected parts a ray from the camera's centre meets first (-1: none), and where."""
+    """Return which of the selected parts a ray from the camera's center meets first (-1: none), and where."""
     found, nearest = -1, np.inf
     origin = (0.0, 0.0, 0.0)
     for i in selected:
@@ -161,7 +161,7 @@ def shaded_color(
     lights: NDArray[np.float64],
     ambient: float,
 ) -> Vector:
-    """Return the lit colour, 0..255, of a point of the camera frame on part `found`."""
+    """Return the lit color, 0..255, of a point of the camera frame on part `found`."""
     part = parts[found]
     T = part["T_part_camera"]
     x, y, z = moved(T, p[0], p[1], p[2])
@@ -200,9 +200,9 @@ def trace_depth(
     parts
         (n,) records of `PART`, placed in this camera.
     bounds
-        (n, 4) bounding spheres of the parts: centre in the camera frame and radius, metres.
+        (n, 4) bounding spheres of the parts: center in the camera frame and radius, meters.
     depth, labels
-        (height, width) outputs: z in metres (0 where the ray meets nothing) and the label of the part.
+        (height, width) outputs: z in meters (0 where the ray meets nothing) and the label of the part.
     """
     selected = np.empty(bounds.shape[0], np.int64)
     for top in range(start * TILE, min(stop * TILE, depth.shape[0]), TILE):
@@ -230,7 +230,7 @@ def trace_color(
     ambient: float,
     color: NDArray[np.float64],
 ) -> None:
-    """Average the lit colours of n x n rays through every pixel of the tile rows `start`..`stop`.
+    """Average the lit colors of n x n rays through every pixel of the tile rows `start`..`stop`.
 
     Parameters
     ----------
@@ -241,11 +241,11 @@ def trace_color(
     parts
         (m,) records of `PART`, placed in this camera.
     bounds
-        (m, 4) bounding spheres of the parts: centre in the camera frame and radius, metres.
+        (m, 4) bounding spheres of the parts: center in the camera frame and radius, meters.
     texels
         (t, 3) the texels of all pictures, RGB.
     lights
-        (l, 4) positions in the camera frame, metres, and strengths; the first one casts shadows.
+        (l, 4) positions in the camera frame, meters, and strengths; the first one casts shadows.
     ambient
         Strength of the light that comes from everywhere.
     color
@@ -285,13 +285,13 @@ def mark_hidden(
     Parameters
     ----------
     rays, depth
-        (height, width, 2) ray slopes and (height, width) z in metres.
+        (height, width, 2) ray slopes and (height, width) z in meters.
     parts
         (n,) records of `PART`, placed in this camera.
     bounds
-        (n, 4) bounding spheres of the parts: centre in the camera frame and radius, metres.
+        (n, 4) bounding spheres of the parts: center in the camera frame and radius, meters.
     source
-        (3,) position of the projector in the camera frame, metres.
+        (3,) position of the projector in the camera frame, meters.
     hidden
         (height, width) output.
     """

@@ -110,7 +110,7 @@ def hit_frustum(o: Vector, d: Vector, size: Any, near: float) -> float:
 
 @kernel
 def hit_capsule(o: Vector, d: Vector, size: Any, near: float) -> float:
-    """Distance to a capsule about z: radius ``size[0]``, half length ``size[1]`` between the centres of its ends."""
+    """Distance to a capsule about z: radius ``size[0]``, half length ``size[1]`` between the centers of its ends."""
     square = size[0] * size[0]
     half = size[1]
     across = d[0] * d[0] + d[1] * d[1]
@@ -151,7 +151,7 @@ def bisect(c4: float, c3: float, c2: float, c1: float, c0: float, low: float, hi
 def hit_torus(o: Vector, d: Vector, size: Any, near: float) -> float:
     """Distance to a torus about z: ring radius ``size[0]``, tube radius ``size[1]``.
 
-    Measured from the point nearest to the centre the quartic is ``s^4 + p s^2 + q s + r``. Between the
+    Measured from the point nearest to the center the quartic is ``s^4 + p s^2 + q s + r``. Between the
     roots of its derivative it is monotone, and so is the derivative between the roots of the second.
     """
     length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
@@ -193,9 +193,9 @@ def hit_distance(kind: int, o: Vector, d: Vector, size: Any, near: float) -> flo
     kind
         One of `RECTANGLE`, `BOX`, `ELLIPSOID`, `FRUSTUM`, `CAPSULE`, `TORUS`.
     o, d
-        Origin and direction of the ray in the frame of the primitive, metres.
+        Origin and direction of the ray in the frame of the primitive, meters.
     size
-        (3,) sizes in metres, see the function of each primitive.
+        (3,) sizes in meters, see the function of each primitive.
     near
         Hits up to this distance are ignored.
     """
@@ -214,7 +214,7 @@ def hit_distance(kind: int, o: Vector, d: Vector, size: Any, near: float) -> flo
 
 @kernel
 def surface(kind: int, size: Any, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Return the outward unit normal and the texture coordinates (metres) of a surface point of a primitive."""
+    """Return the outward unit normal and the texture coordinates (meters) of a surface point of a primitive."""
     if kind == RECTANGLE:
         return 0.0, 0.0, 1.0, x, y
     if kind == BOX:

@@ -17,7 +17,7 @@ __all__ = ["pattern_color"]
 OCTAVES = 3
 """Octaves of noise, the last a quarter as wide as the first."""
 GRAIN = 35.0
-"""Periods of the grain per metre: they are 3 cm wide."""
+"""Periods of the grain per meter: they are 3 cm wide."""
 GRAIN_SEED = 17
 """Added to a part's seed, so that its grain is not its pattern."""
 
@@ -58,7 +58,7 @@ def fractal_noise(x: float, y: float, z: float, seed: int) -> float:
 
 @kernel
 def texel_color(texels: NDArray[np.uint8], picture: Any, u: float, v: float) -> Vector:
-    """Interpolate a repeating picture between its four texels; u to the right and v up, in pictures from its centre."""
+    """Interpolate a repeating picture between its four texels; u to the right and v up, in pictures from its center."""
     first, height, width = picture[0], picture[1], picture[2]
     column = (u + 0.5) * width - 0.5
     row = (0.5 - v) * height - 0.5
@@ -77,7 +77,7 @@ def texel_color(texels: NDArray[np.uint8], picture: Any, u: float, v: float) -> 
 
 @kernel
 def pattern_mix(part: Any, x: float, y: float, z: float, u: float, v: float) -> float:
-    """Return the weight of a pattern's second colour, 0..1, at a body point and its texture coordinates."""
+    """Return the weight of a pattern's second color, 0..1, at a body point and its texture coordinates."""
     scale = part["scale"]
     pattern, seed = part["pattern"], part["seed"]
     if pattern == CHECKER:
@@ -99,7 +99,7 @@ def pattern_mix(part: Any, x: float, y: float, z: float, u: float, v: float) -> 
 
 @kernel
 def pattern_color(part: Any, texels: NDArray[np.uint8], x: float, y: float, z: float, u: float, v: float) -> Vector:
-    """Return the unlit colour, 0..255, of a point in body coordinates with texture coordinates (u, v), metres."""
+    """Return the unlit color, 0..255, of a point in body coordinates with texture coordinates (u, v), meters."""
     if part["pattern"] == PICTURE:
         red, green, blue = texel_color(texels, part["picture"], u / part["scale"][0], v / part["scale"][1])
     else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Times of colour pictures that were not taken with the depth picture of their frame, in a META packet."""
+"""Times of color pictures that were not taken with the depth picture of their frame, in a META packet."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_OFFSET_NS = 1 << 62
 
 
 def color_times_packet(first: int, offsets_ns: Sequence[int]) -> Packet:
-    """Pack how much later than its depth picture the colour picture of consecutive frames was taken.
+    """Pack how much later than its depth picture the color picture of consecutive frames was taken.
 
     Parameters
     ----------
@@ -48,19 +48,19 @@ def unpack_color_times(packet: Packet) -> Mapping[int, int]:
     """
     first = packet.header.get(FIRST_FRAME)
     if not isinstance(first, int) or not 0 <= first <= MAX_FRAME:
-        raise CorruptStream(f"the colour pictures' times begin at frame {first!r}")
-    reader = ByteReader(decompress(packet.payload, MAX_BYTES, "a packet of times of colour pictures"))
+        raise CorruptStream(f"the color pictures' times begin at frame {first!r}")
+    reader = ByteReader(decompress(packet.payload, MAX_BYTES, "a packet of times of color pictures"))
     count = reader.varint()
     if count > MAX_COUNT:
-        raise CorruptStream(f"times of {count} colour pictures are more than {MAX_COUNT}")
+        raise CorruptStream(f"times of {count} color pictures are more than {MAX_COUNT}")
     offsets = list(accumulate(reader.signed_varint() for _ in range(count)))
     if reader.remaining or any(abs(offset) > MAX_OFFSET_NS for offset in offsets):
-        raise CorruptStream(f"the times of {count} colour pictures are malformed")
+        raise CorruptStream(f"the times of {count} color pictures are malformed")
     return {first + index: offset for index, offset in enumerate(offsets)}
 
 
 class ColorTimes:
-    """The times of colour pictures in a stream, for frames that are still to come."""
+    """The times of color pictures in a stream, for frames that are still to come."""
 
     kind: ClassVar[str] = "color times"
 
@@ -72,7 +72,7 @@ class ColorTimes:
         self._offsets_ns.update(unpack_color_times(packet))
 
     def take_offset_ns(self, frame: int) -> int:
-        """Return how much later than its depth picture the colour picture of a frame was taken, and forget it."""
+        """Return how much later than its depth picture the color picture of a frame was taken, and forget it."""
         return self._offsets_ns.pop(frame, 0)
 
 

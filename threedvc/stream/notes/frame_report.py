@@ -23,7 +23,7 @@ STEPS_PER_OCTAVE = 32
 """Levels of entropy up to its double: 2.2 % apart, so that a level is within 1.1 %."""
 MAX_LEVEL = 64 * STEPS_PER_OCTAVE
 """That of 2^64 bits: no model that fits into memory has so many."""
-STATUSES = (PoseStatus.KNOWN, PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.LOST, PoseStatus.RELOCALISED)
+STATUSES = (PoseStatus.KNOWN, PoseStatus.TRACKED, PoseStatus.WEAK, PoseStatus.LOST, PoseStatus.RELOCALIZED)
 """In the order of their numbers in the stream."""
 MAX_REPORT_BYTES = 8 * MAX_COUNT
 """More than frames can take: two bytes each for a step of entropy, and two to four for a run of one status."""

@@ -13,7 +13,7 @@ from threedvc.stream.packets import Packet, PacketType
 __all__ = ["NOTE", "InputNotes", "InputOptions", "input_options_packet", "unpack_input_options"]
 
 InputOptions: TypeAlias = Mapping[str, str | float]
-"""Options of the reader by name: ``layout``, ``color``, ``depth``, ``poses`` (texts), ``depth_scale`` (per metre)."""
+"""Options of the reader by name: ``layout``, ``color``, ``depth``, ``poses`` (texts), ``depth_scale`` (per meter)."""
 
 SENSOR = "s"
 TEXTS = ("layout", "color", "depth", "poses")

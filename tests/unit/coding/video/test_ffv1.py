@@ -27,7 +27,7 @@ def noisy(video: VideoFormat, count: int) -> list[Picture]:
     y, x = np.mgrid[: video.height, : video.width]
     smooth = np.stack([x + y, 2 * x, 255 - y], axis=-1)
     pictures = [(smooth + 3 * k + rng.integers(0, 9, smooth.shape)).astype(np.uint8) for k in range(count)]
-    return [picture[..., :1].repeat(3, axis=-1) for picture in pictures] if video.grey else pictures
+    return [picture[..., :1].repeat(3, axis=-1) for picture in pictures] if video.gray else pictures
 
 
 def encoded(video: VideoFormat, count: int = COUNT, threads: int = 1) -> bytes:
@@ -54,30 +54,30 @@ def payload() -> bytes:
     return encoded(SIZE)
 
 
-@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize("gray", [False, True])
 @pytest.mark.parametrize(
     ("width", "height", "count"),
     [(1, 1, 1), (3, 2, 2), (37, 23, 5), (70, 50, 40), (352, 288, 2), (353, 2, 2), (640, 480, 3), (1100, 1000, 1)],
 )
-def test_pictures_come_back_exactly(width: int, height: int, count: int, grey: bool) -> None:
-    video = VideoFormat(width=width, height=height, bits=8, grey=grey)
+def test_pictures_come_back_exactly(width: int, height: int, count: int, gray: bool) -> None:
+    video = VideoFormat(width=width, height=height, bits=8, gray=gray)
     got = decoded(encoded(video, count), count, video)
     np.testing.assert_array_equal(got, noisy(video, count))
     assert all(picture.dtype == np.uint8 and picture.flags.writeable for picture in got)
 
 
-@pytest.mark.parametrize("grey", [False, True])
-def test_any_levels_come_back(grey: bool) -> None:
-    video = VideoFormat(width=64, height=48, bits=8, grey=grey)
+@pytest.mark.parametrize("gray", [False, True])
+def test_any_levels_come_back(gray: bool) -> None:
+    video = VideoFormat(width=64, height=48, bits=8, gray=gray)
     rng = np.random.default_rng(1)
-    pictures = [rng.integers(0, 256, (48, 64, 1 if grey else 3), dtype=np.uint8) for _ in range(3)]
-    pictures = [picture.repeat(3, axis=-1) if grey else 255 * (picture > 127) for picture in pictures]
+    pictures = [rng.integers(0, 256, (48, 64, 1 if gray else 3), dtype=np.uint8) for _ in range(3)]
+    pictures = [picture.repeat(3, axis=-1) if gray else 255 * (picture > 127) for picture in pictures]
     pictures = [picture.astype(np.uint8) for picture in [*pictures, 0 * pictures[0], 0 * pictures[0] + 255]]
     got = decoded(encode_ffv1(pictures, video, 1), len(pictures), video)
     np.testing.assert_array_equal(got, pictures)
 
 
-@pytest.mark.parametrize("video", [SIZE, LARGE, replace(LARGE, grey=True)])
+@pytest.mark.parametrize("video", [SIZE, LARGE, replace(LARGE, gray=True)])
 def test_payloads_and_pictures_do_not_depend_on_threads(video: VideoFormat, monkeypatch: pytest.MonkeyPatch) -> None:
     payload = encoded(video)
     assert encoded(video, threads=3) == encoded(video, threads=16) == payload
@@ -87,9 +87,9 @@ def test_payloads_and_pictures_do_not_depend_on_threads(video: VideoFormat, monk
 
 
 def test_pictures_are_compressed() -> None:
-    color, grey = (len(encoded(video, 20)) for video in (LARGE, replace(LARGE, grey=True)))
+    color, gray = (len(encoded(video, 20)) for video in (LARGE, replace(LARGE, gray=True)))
     assert color < 0.6 * 20 * 3 * 400 * 300  # of 24 bits a pixel 3 * log2(9) = 9.5 are noise
-    assert grey < 0.4 * color
+    assert gray < 0.4 * color
 
 
 def test_pictures_of_another_make_are_not_written() -> None:
@@ -158,11 +158,11 @@ def test_missing_and_exchanged_pictures_do_no_worse_than_spoil_others(payload: b
 
 
 def test_another_layout_is_refused(payload: bytes) -> None:
-    grey = replace(SIZE, grey=True)
+    gray = replace(SIZE, gray=True)
     with pytest.raises(CorruptStream, match=r"\(bgr0\) instead of 70x50 \(gray\)"):
-        decoded(payload, COUNT, grey)
+        decoded(payload, COUNT, gray)
     with pytest.raises(CorruptStream, match=r"\(gray\) instead of 70x50 \(bgr0\)"):
-        decoded(encoded(grey))
+        decoded(encoded(gray))
 
 
 @pytest.mark.parametrize(("width", "height"), [(71, 50), (50, 70), (1, 1), (640, 480), (4096, 4096)])

@@ -55,15 +55,15 @@ def test_pictures_come_back(size: tuple[int, int], bits: int) -> None:
         assert np.abs(got.astype(int) - wanted).mean() < 2
 
 
-def test_grey_pictures_come_back_exactly() -> None:
+def test_gray_pictures_come_back_exactly() -> None:
     wanted = np.repeat(RNG.integers(0, 256, (9, 12, 1)), 3, axis=2).astype(np.uint8)
-    for grey in (False, True):
-        video = VideoFormat(width=12, height=9, bits=8, magnified=2, grey=grey)
+    for gray in (False, True):
+        video = VideoFormat(width=12, height=9, bits=8, magnified=2, gray=gray)
         np.testing.assert_array_equal(picture_of(planes_of(wanted, video), video, 12, 9, 1), wanted)
 
 
-def test_chroma_of_a_grey_video_means_nothing() -> None:
-    video = VideoFormat(width=9, height=7, bits=10, grey=True)
+def test_chroma_of_a_gray_video_means_nothing() -> None:
+    video = VideoFormat(width=9, height=7, bits=10, gray=True)
     picture = picture_of(rough(video), video, 9, 7, 1)
     np.testing.assert_array_equal(picture, np.repeat(picture[..., :1], 3, axis=2))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The gain of the colour camera, found as frames come."""
+"""The gain of the color camera, found as frames come."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def test_without_depth_the_last_gain_stays() -> None:
     np.testing.assert_array_equal(gains_of(scene)[5], gains_of(scene)[4])
 
 
-@pytest.mark.parametrize("grey", [False, True])
-def test_a_frame_without_its_gain_is_as_before(grey: bool) -> None:
+@pytest.mark.parametrize("gray", [False, True])
+def test_a_frame_without_its_gain_is_as_before(gray: bool) -> None:
     frame = frames(np.ones(1))[0]
     seen = observe(frame, INFO.rig, CAMERA.rays())
     gain = np.array([[256, 256], [128, 0], [64, -128]])

@@ -86,7 +86,7 @@ def values_at(values: NDArray[np.float32], model: EvidenceModel, points: Floats)
 
 
 def along_the_axis(model: EvidenceModel, values: NDArray[np.float32]) -> dict[float, float]:
-    """Return the values of the cells around the optical axis by the depth of their centres."""
+    """Return the values of the cells around the optical axis by the depth of their centers."""
     cells = cells_of(model)
     column = np.flatnonzero((cells[:, 0] == 0) & (cells[:, 1] == 0))
     depths = (cells[column, 2] + 0.5) * model.voxel_size_m
@@ -308,19 +308,19 @@ def test_two_sensors_with_their_own_cameras_meet_in_one_object() -> None:
 
 
 def stripes(x: Floats) -> Floats:
-    """Return a smooth shade over the x of the wall, so that a shift of a few millimetres shows."""
+    """Return a smooth shade over the x of the wall, so that a shift of a few millimeters shows."""
     return 128 + 100 * np.sin(9 * x)
 
 
 def picture_of_wall(rig: CameraRig, z: float) -> NDArray[np.uint8]:
-    """Paint the wall at depth z of the depth camera as the colour camera sees it."""
+    """Paint the wall at depth z of the depth camera as the color camera sees it."""
     shift = rig.T_color_depth[:3, 3]
     x = rig.color.rays()[..., 0] * (z + shift[2]) - shift[0]
     return np.repeat(np.rint(stripes(x))[..., None], 3, axis=-1).astype(np.uint8)
 
 
 @pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
-def test_colours_land_where_they_belong(rig: CameraRig) -> None:
+def test_colors_land_where_they_belong(rig: CameraRig) -> None:
     model = EvidenceModel(CELL)
     depth = flat(1.21, rig.depth)
     fused(model, frame_of(depth, picture_of_wall(rig, 1.21), rig=rig), rig=rig)
@@ -377,7 +377,7 @@ def test_a_nearer_stranger_teaches_nothing() -> None:
     assert model.index.count == before.index.count
 
 
-def test_unknown_cells_stay_equiprobable_and_uncoloured() -> None:
+def test_unknown_cells_stay_equiprobable_and_uncolored() -> None:
     model = EvidenceModel(CELL)
     fused(model, frame_of(flat(1.0)))
     hidden = (cells_of(model)[:, 2] + 0.5) * CELL > 1.06

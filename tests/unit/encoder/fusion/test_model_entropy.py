@@ -24,7 +24,7 @@ def measured(model: EvidenceModel, threads: int = 1) -> float:
 
 
 def reference(model: EvidenceModel) -> float:
-    """Sum H(occupied) + P(occupied) H(colour) cell by cell."""
+    """Sum H(occupied) + P(occupied) H(color) cell by cell."""
     count = model.index.count
     p = 1 / (1 + np.exp(-model.log_odds[:count].astype(np.float64)))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -34,7 +34,7 @@ def reference(model: EvidenceModel) -> float:
     return float((occupancy + p * 3 * channel).sum())
 
 
-def test_nothing_known_is_one_bit_and_half_a_colour() -> None:
+def test_nothing_known_is_one_bit_and_half_a_color() -> None:
     assert measured(EvidenceModel(0.01)) == 0
     assert measured(model_of(3)) == pytest.approx(3 * BLOCK_CELLS * (1 + 0.5 * 24))
 

@@ -102,7 +102,7 @@ def test_a_ball_is_a_thin_shell() -> None:
     assert np.all(centers(surface.cells)[:, 2] < 1.3 + CELL)
 
 
-def test_cells_come_in_morton_order_with_colour_and_first_sight() -> None:
+def test_cells_come_in_morton_order_with_color_and_first_sight() -> None:
     model = EvidenceModel(CELL)
     for index, shade in [(4, 90), (5, 110)]:
         add(model, flat(1.21), index, shade)
@@ -143,7 +143,7 @@ def test_threads_do_not_matter() -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(three, name))
 
 
-def test_a_cell_without_colour_takes_that_of_a_neighbour() -> None:
+def test_a_cell_without_color_takes_that_of_a_neighbor() -> None:
     model = evidence(flat(1.21), times=2)
     position = model.index.locate(extract_surface(model, 1).cells[:200:3])
     model.color_weight.reshape(-1)[position] = 0
@@ -154,7 +154,7 @@ def test_a_cell_without_colour_takes_that_of_a_neighbour() -> None:
     assert np.all(extract_surface(model, 1).colors == 128)
 
 
-def test_neighbours_are_counted_as_by_hand(rng: np.random.Generator) -> None:
+def test_neighbors_are_counted_as_by_hand(rng: np.random.Generator) -> None:
     model = DecodedModel(CELL)
     cells = np.unique(rng.integers(-9, 9, (400, 3)), axis=0).astype(np.int32)
     model.apply(update(cells))
@@ -249,7 +249,7 @@ def test_live_what_vanished_is_taken_away() -> None:
 
 
 @pytest.mark.parametrize(("levels", "sent_again"), [(10, False), (40, True)])
-def test_live_a_cell_is_recoloured_when_it_matters(levels: int, sent_again: bool) -> None:
+def test_live_a_cell_is_recolored_when_it_matters(levels: int, sent_again: bool) -> None:
     model, sent = evidence(flat(1.21), times=6), DecodedModel(CELL)
     sent.apply(incremental_update(model, sent, 1))
     sent.color[sent.occupied != 0] += np.int16(levels)

@@ -57,7 +57,7 @@ class Grid:
 
 
 def plane(normal: tuple[float, float, float], offset: float) -> NDArray[np.float64]:
-    """Return signed distances in metres, positive before the plane."""
+    """Return signed distances in meters, positive before the plane."""
     unit = np.array(normal) / np.linalg.norm(normal)
     centers = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij"), axis=-1) - (SIDE - 1) / 2
     return (centers @ unit - offset) * CELL
@@ -136,7 +136,7 @@ def test_crossings_of_a_plane_are_where_it_cuts_the_axes(normal: tuple[float, fl
     np.testing.assert_array_equal(found[missed], 0.5 * towards[missed])
 
 
-def test_a_crossing_needs_a_neighbour_that_was_measured() -> None:
+def test_a_crossing_needs_a_neighbor_that_was_measured() -> None:
     distance = plane((0.0, 0.0, 1.0), 0.2)
     weight = np.ones_like(distance)
     middle = SIDE // 2

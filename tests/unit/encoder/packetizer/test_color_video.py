@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How fine a colour video may be for a number of bytes."""
+"""How fine a color video may be for a number of bytes."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class ScriptedScene:
                 timestamp_ns=time,
                 color_offset_ns=0,
                 sensor=sensor,
-                synchronised=False,
+                synchronized=False,
                 repeated=False,
                 blind=False,
                 gain=NEUTRAL,
@@ -124,7 +124,7 @@ def walk(frames: int, speed: float = 0.01) -> list[Pose]:
 
 
 def assert_follows(states: Sequence[FrameState], scripts: dict[int, Script]) -> None:
-    """Check decoded poses to the quantisation of a pose, or of two where the camera's comes in."""
+    """Check decoded poses to the quantization of a pose, or of two where the camera's comes in."""
     for state in states:
         for number, script in scripts.items():
             error = compose(inverse(script[state.index]), state.T_camera_object[number])
@@ -183,7 +183,7 @@ def test_a_rest_has_no_poses() -> None:
     assert_follows(decoded(packets), {0: still(50), 1: script})
 
 
-def test_noise_below_the_quantisation_is_rest(rng: np.random.Generator) -> None:
+def test_noise_below_the_quantization_is_rest(rng: np.random.Generator) -> None:
     pose = place((0.3, 0.2, 0.1), (0.1, 0.2, 0.9))
     noisy = [compose(pose, place(rng.uniform(-2e-5, 2e-5, 3), rng.uniform(-5e-5, 5e-5, 3))) for _ in range(40)]
     assert posed_frames(packetized(scene_of({0: still(40), 1: noisy})), 1) == [0]

@@ -116,15 +116,15 @@ def test_kinds_of_pixels() -> None:
     assert classify_pixels(depth, labels, False)[19, 15] == 0
 
 
-@pytest.mark.parametrize("grey", [False, True])
-def test_payload_comes_back(grey: bool) -> None:
+@pytest.mark.parametrize("gray", [False, True])
+def test_payload_comes_back(gray: bool) -> None:
     filters = some_filter()
-    if grey:
+    if gray:
         filters = PostFilter(luma=filters.luma, chroma=filters.luma)
-    again = decode_filter(encode_filter(filters, grey), grey)
+    again = decode_filter(encode_filter(filters, gray), gray)
     np.testing.assert_array_equal(again.luma, filters.luma)
     np.testing.assert_array_equal(again.chroma, filters.chroma)
-    assert len(encode_filter(PostFilter.none(), grey)) < 4
+    assert len(encode_filter(PostFilter.none(), gray)) < 4
 
 
 def test_impossible_factors_are_refused() -> None:

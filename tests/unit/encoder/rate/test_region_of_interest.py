@@ -47,7 +47,7 @@ def filmed(name: str, frames: int = 6) -> ListSequence:
 
 
 def errors(sequence: ListSequence, packets: list[Packet]) -> tuple[float, float]:
-    """Return the mean squared error of the colours of the background and of objects, as labelled by the input."""
+    """Return the mean squared error of the colors of the background and of objects, as labeled by the input."""
     sums, counts = np.zeros(2), np.zeros(2)
     for frame, color in zip(sequence.frames, drawn(packets), strict=True):
         square = np.square(color.astype(float) - frame.color).mean(axis=2)

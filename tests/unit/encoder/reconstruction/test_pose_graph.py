@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threedvc.encoder.reconstruction.pose_graph import Link, optimised
+from threedvc.encoder.reconstruction.pose_graph import Link, optimized
 from threedvc.geometry.pose import Pose, compose, inverse, log_motion, make_pose, rotation_angle, rotation_from_vector
 
 SURE = np.diag([1e6] * 3 + [1e6] * 3)
@@ -49,7 +49,7 @@ def test_exact_links_bring_drifted_poses_back() -> None:
     start = drifting(true, motion((0.0, 0.01, 0.002), (0.01, 0.0, 0.003)))
     links = [link(true, k, k + 1) for k in range(11)]
     assert distance(start, true) > 0.1
-    assert distance(optimised(start, links), true) < 1e-6
+    assert distance(optimized(start, links), true) < 1e-6
 
 
 def test_closing_a_loop_spreads_the_error_over_it() -> None:
@@ -57,7 +57,7 @@ def test_closing_a_loop_spreads_the_error_over_it() -> None:
     error = motion((0.0, 0.004, 0.0), (0.003, 0.0, 0.0))
     chained = drifting(true, error)
     links = [link(true, k, k + 1, error) for k in range(15)]
-    closed = optimised(chained, [*links, link(true, 0, 15)])
+    closed = optimized(chained, [*links, link(true, 0, 15)])
     assert distance(closed, true) < 0.35 * distance(chained, true)
 
 
@@ -65,21 +65,21 @@ def test_a_wrong_link_does_no_harm() -> None:
     true = circle(10)
     links = [link(true, k, (k + j) % 10) for k in range(10) for j in (1, 2) if k + j < 10]
     wrong = link(true, 2, 7, motion((0.3, 0.0, 0.0), (0.0, 0.5, 0.0)))
-    assert distance(optimised(true, [*links, wrong]), true) < 1e-3
+    assert distance(optimized(true, [*links, wrong]), true) < 1e-3
 
 
 def test_directions_without_information_stay() -> None:
     true = [motion((0, 0, 0), (0, 0, 0)), motion((0, 0, 0), (0, 0, 1))]
     along_z = np.diag([1e6, 1e6, 1e6, 0, 0, 1e6])
     measured = Link(first=0, second=1, T_first_second=motion((0, 0, 0), (9, 9, 1.5)), information=along_z)
-    moved = optimised(true, [measured])[1]
+    moved = optimized(true, [measured])[1]
     np.testing.assert_allclose(moved[:3, 3], [0, 0, 1.5], atol=1e-5)
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_without_links_nothing_moves(count: int) -> None:
     true = circle(count)
-    assert distance(optimised(true, []), true) == 0
+    assert distance(optimized(true, []), true) == 0
 
 
 def test_twist_of_a_small_motion() -> None:

@@ -185,9 +185,9 @@ def test_a_depth_limit_cuts_what_is_beyond() -> None:
         ),
         (
             {"color": np.zeros((35, 48, 3), dtype=np.uint8)},
-            r"colour of shape \(35, 48, 3\), its camera asks for \(36, 48, 3\)",
+            r"color of shape \(35, 48, 3\), its camera asks for \(36, 48, 3\)",
         ),
-        ({"color": np.zeros((36, 48), dtype=np.uint8)}, r"wall: frame 2 has colour of shape \(36, 48\), its"),
+        ({"color": np.zeros((36, 48), dtype=np.uint8)}, r"wall: frame 2 has color of shape \(36, 48\), its"),
         ({"mask": np.zeros((18, 24), dtype=np.uint8)}, r"wall: mask of frame 2 has 24x18 pixels, its depth 48x36"),
         ({"T_world_camera": np.full((4, 4), np.nan)}, r"wall: frame 2 has a camera pose that is not a rigid transform"),
         (
@@ -284,7 +284,7 @@ def test_live_cells_are_as_wide_as_the_rate_asks(changes: dict[str, object], wid
     np.testing.assert_allclose(np.divide(*sizes), 1.1**0.5 if wider else 1, rtol=0.01)
 
 
-def test_a_frame_without_a_mask_is_labelled_by_the_models() -> None:
+def test_a_frame_without_a_mask_is_labeled_by_the_models() -> None:
     scene = Scene(INFO, config())
     for index in range(4):
         scene.add(frame(index))

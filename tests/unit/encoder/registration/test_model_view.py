@@ -181,7 +181,7 @@ def test_small_objects_are_seen_at_every_pixel_and_large_ones_at_some() -> None:
         assert views.luma(resolution) is luma
 
 
-def test_luma_of_a_colour_camera_apart_is_looked_up_through_the_depth() -> None:
+def test_luma_of_a_color_camera_apart_is_looked_up_through_the_depth() -> None:
     color_camera = Camera(width=120, height=96, fx=120.0, fy=120.0, cx=59.5, cy=47.5, distortion=(0.1, 0, 0, 0, 0))
     rig = CameraRig(color=color_camera, depth=CAMERA, T_color_depth=moved((0, 0, 0), (0.1, 0, 0)))
     depth = np.full((48, 60), 1.5, dtype=np.float32)

@@ -87,9 +87,9 @@ def test_right_poses_agree(room: tuple[SequenceInfo, list[Frame]]) -> None:
         (lambda pose: compose(pose, inverse(BODY)), "body"),
         (lambda pose: inverse(compose(pose, OPENGL)), "inverted+opengl"),
         (wrong_order, "w-first"),
-        (scaled(1000), "millimetres"),
-        (scaled(100), "centimetres"),
-        (lambda pose: scaled(1000)(inverse(pose)), "millimetres+inverted"),
+        (scaled(1000), "millimeters"),
+        (scaled(100), "centimeters"),
+        (lambda pose: scaled(1000)(inverse(pose)), "millimeters+inverted"),
     ],
 )
 def test_other_conventions_are_named(
@@ -182,7 +182,7 @@ def test_frames_that_cannot_be_placed_are_told(room: tuple[SequenceInfo, list[Fr
     completed = complete_poses(with_poses((info, blind), poses), poses)
     assert completed.missing == 2
     settled = settle_poses(with_poses((info, blind), poses), EncoderConfig())
-    assert "2 cannot be placed beside their neighbours; the camera is tracked instead" in settled.notices[0].text
+    assert "2 cannot be placed beside their neighbors; the camera is tracked instead" in settled.notices[0].text
 
 
 def test_readings_of_any_order_are_the_same() -> None:

@@ -91,7 +91,7 @@ def test_the_object_of_a_depth_threshold_is_the_only_one_there_is() -> None:
     [
         (PoseStatus.KNOWN, True),
         (PoseStatus.TRACKED, True),
-        (PoseStatus.RELOCALISED, True),
+        (PoseStatus.RELOCALIZED, True),
         (PoseStatus.WEAK, True),
         (PoseStatus.LOST, False),
         (PoseStatus.UNSEEN, False),

@@ -51,53 +51,53 @@ def test_smoothed_takes_any_number_of_values() -> None:
 
 
 def test_noise_goes_and_a_lasting_difference_stays(rng: np.random.Generator) -> None:
-    synchronised = turning(40)
+    synchronized = turning(40)
     lasting = make_pose(rotation_from_vector(np.array([0.01, -0.02, 0])), np.array([0.02, 0, 0.01]))
-    noise = [make_pose(rotation_from_vector(rng.normal(scale=0.005, size=3)), np.zeros(3)) for _ in synchronised]
-    wanted = moved(synchronised, [lasting] * 40)
+    noise = [make_pose(rotation_from_vector(rng.normal(scale=0.005, size=3)), np.zeros(3)) for _ in synchronized]
+    wanted = moved(synchronized, [lasting] * 40)
     noisy = moved(wanted, noise)
-    result = poses_of(smooth_to_depth(located(noisy), located(synchronised), [False] * 40))
+    result = poses_of(smooth_to_depth(located(noisy), located(synchronized), [False] * 40))
     assert jitter(result, wanted) < 0.2 * jitter(noisy, wanted)
     errors = [rotation_angle(compose(a, inverse(b))) for a, b in zip(result, wanted, strict=True)]
     assert max(errors) < 0.006
 
 
 def test_a_camera_at_rest_rests() -> None:
-    synchronised = turning(5) + [turning(5)[-1]] * 10 + turning(5)[::-1]
+    synchronized = turning(5) + [turning(5)[-1]] * 10 + turning(5)[::-1]
     shift = make_pose(np.eye(3), np.array([0.01, 0, 0]))
-    found = moved(synchronised, [identity()] * 3 + [shift] * 17)
-    result = poses_of(smooth_to_depth(located(found), located(synchronised), [False] * 20))
+    found = moved(synchronized, [identity()] * 3 + [shift] * 17)
+    result = poses_of(smooth_to_depth(located(found), located(synchronized), [False] * 20))
     assert all(np.array_equal(pose, result[4]) for pose in result[4:15])
 
 
 def test_given_lost_and_missing_poses_stay() -> None:
-    synchronised = located(turning(6))
+    synchronized = located(turning(6))
     found = located(moved(turning(6), [make_pose(np.eye(3), np.array([0.01 * k * k, 0, 0])) for k in range(6)]))
     found[1] = TrackedPose(T_camera_object=identity(), status=PoseStatus.LOST)
     found[2] = None
     found[3] = TrackedPose(T_camera_object=identity(), status=PoseStatus.KNOWN)
-    result = smooth_to_depth(found, synchronised, [False] * 6)
+    result = smooth_to_depth(found, synchronized, [False] * 6)
     assert [result[k] for k in (1, 2, 3)] == [found[k] for k in (1, 2, 3)]
     assert not np.array_equal(poses_of(result)[4], poses_of(found)[4])
 
 
 def test_parts_of_a_model_are_settled_apart() -> None:
     shift = make_pose(np.eye(3), np.array([0.05, 0, 0]))
-    synchronised = located(turning(8))
+    synchronized = located(turning(8))
     found = located(moved(turning(8), [identity()] * 4 + [shift] * 4))
     for k in range(4, 8):
         at = found[k]
         assert at is not None
         found[k] = TrackedPose(T_camera_object=at.T_camera_object, status=at.status, submap=1)
-    before, after = poses_of(found), poses_of(smooth_to_depth(found, synchronised, [False] * 8))
+    before, after = poses_of(found), poses_of(smooth_to_depth(found, synchronized, [False] * 8))
     assert all(np.allclose(a, b) for a, b in zip(before, after, strict=True))
 
 
 def test_frames_without_depth_go_with_those_about_them() -> None:
-    synchronised, shift = turning(7), make_pose(np.eye(3), np.array([0.02, 0, 0]))
-    found = located(moved(synchronised, [shift] * 3 + [identity()] + [shift] * 3))
-    result = poses_of(smooth_to_depth(found, located(synchronised), [k == 3 for k in range(7)]))
-    assert all(np.allclose(a, b) for a, b in zip(result, moved(synchronised, [shift] * 7), strict=True))
+    synchronized, shift = turning(7), make_pose(np.eye(3), np.array([0.02, 0, 0]))
+    found = located(moved(synchronized, [shift] * 3 + [identity()] + [shift] * 3))
+    result = poses_of(smooth_to_depth(found, located(synchronized), [k == 3 for k in range(7)]))
+    assert all(np.allclose(a, b) for a, b in zip(result, moved(synchronized, [shift] * 7), strict=True))
 
 
 def test_easing_is_the_least_squares_solution_of_shifts(rng: np.random.Generator) -> None:

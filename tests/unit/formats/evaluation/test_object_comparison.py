@@ -131,7 +131,7 @@ class TestMoved:
         labels = picture(o1=(0, 10))
         return quality(compared([labels] * len(true), [labels] * len(true), true=true, cameras=cameras))[1].moved_frames
 
-    def test_one_centimetre_or_two_degrees_from_the_first(self) -> None:
+    def test_one_centimeter_or_two_degrees_from_the_first(self) -> None:
         still = [at(0), at(0.009), at(0, 1.9), at(-0.009, -1.9)]
         assert self.moved_frames([{1: pose} for pose in still]) == 0
         assert self.moved_frames([{1: pose} for pose in [*still, at(0.011), at(0, 2.1), at(0)]]) == 2

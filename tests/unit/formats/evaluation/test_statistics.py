@@ -108,8 +108,8 @@ class TestReport:
         assert found.raw_bytes == FRAMES * 16 * 12 * 5
         assert found.ratio == pytest.approx(found.raw_bytes / size)
 
-    def test_grey_pictures_have_one_channel(self) -> None:
-        assert statistics(io.BytesIO(packed_stream(grey=True))).raw_bytes == FRAMES * 16 * 12 * 3
+    def test_gray_pictures_have_one_channel(self) -> None:
+        assert statistics(io.BytesIO(packed_stream(gray=True))).raw_bytes == FRAMES * 16 * 12 * 3
 
     def test_objects(self) -> None:
         first, second = report().objects

@@ -34,13 +34,13 @@ def wall(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return points[..., 2] - 0.004
 
 
-def grey(cells: NDArray[np.int32]) -> DecodedModel:
+def gray(cells: NDArray[np.int32]) -> DecodedModel:
     return model_of_cells(cells, CELL, np.full((len(cells), 3), 90, dtype=np.int16))
 
 
 @pytest.fixture(scope="module")
 def models() -> dict[int, DecodedModel]:
-    return {0: grey(surface_cells(wall, CELL, 1.6)), 1: grey(surface_cells(ball, CELL, 0.3))}
+    return {0: gray(surface_cells(wall, CELL, 1.6)), 1: gray(surface_cells(ball, CELL, 0.3))}
 
 
 def at(x: float, z: float, turn_deg: float = 0.0) -> Pose:
@@ -98,7 +98,7 @@ def state(index: int, T_world_camera: Pose, T_world_object: Mapping[int, Pose]) 
         timestamp_ns=index,
         sensor=0,
         number=index,
-        synchronised=False,
+        synchronized=False,
         T_world_camera=T_world_camera,
         T_camera_object={0: T_camera_world} | {n: T_camera_world @ pose for n, pose in T_world_object.items()},
         T_shifted_camera=np.eye(4),

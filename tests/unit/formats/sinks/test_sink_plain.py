@@ -71,7 +71,7 @@ def test_round_trip(tmp_path: Path) -> None:
     for read, given in zip(sequence, frames(), strict=True):
         assert_same(read, given)
     info = sequence.info
-    assert (info.depth_scale, info.fps, info.grey) == (SCALE, 29.97, False)
+    assert (info.depth_scale, info.fps, info.gray) == (SCALE, 29.97, False)
     assert (info.has_camera_poses, info.has_object_poses, info.has_masks) == (True, True, True)
     assert info.rig.registered
     assert info.rig.color == SMALL
@@ -105,11 +105,11 @@ def test_layout_on_disk(tmp_path: Path) -> None:
     }
 
 
-def test_grey_stays_one_channel(tmp_path: Path) -> None:
+def test_gray_stays_one_channel(tmp_path: Path) -> None:
     given = [replace(frame, color=np.repeat(frame.color[..., :1], 3, axis=2)) for frame in frames()]
-    sequence = written(tmp_path, given, replace(INFO, grey=True))
-    assert sequence.info.grey
-    assert (tmp_path / "color" / "000000.png").read_bytes()[25] == 0  # PNG colour type: grey
+    sequence = written(tmp_path, given, replace(INFO, gray=True))
+    assert sequence.info.gray
+    assert (tmp_path / "color" / "000000.png").read_bytes()[25] == 0  # PNG color type: gray
     for read, frame in zip(sequence, given, strict=True):
         assert_same(read, frame)
 
@@ -204,7 +204,7 @@ def test_only_what_is_asked_for(tmp_path: Path, what: set[str]) -> None:
     assert {path.name for path in tmp_path.iterdir() if path.is_dir()} == {folders[part] for part in what}
 
 
-@pytest.mark.parametrize(("what", "named"), [({"colour", "depth"}, "colour"), (set(), "")])
+@pytest.mark.parametrize(("what", "named"), [({"color", "depth"}, "color"), (set(), "")])
 def test_unknown_part(tmp_path: Path, what: set[str], named: str) -> None:
     with pytest.raises(ConfigError) as caught:
         PlainSink(tmp_path, INFO, what=what)

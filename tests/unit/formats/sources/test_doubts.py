@@ -55,7 +55,7 @@ def test_mountings_that_cannot_be(recording: Path, shift_m: float, turn: float) 
     mount[0, 3] = shift_m
     content = {"color": CAMERA, "depth": CAMERA, "T_color_depth": mount.tolist(), "depth_scale": 1000}
     (recording / "intrinsics.json").write_text(json.dumps(content))
-    with pytest.raises(SequenceError, match=r"intrinsics\.json: T_color_depth (puts|turns) the colour camera "):
+    with pytest.raises(SequenceError, match=r"intrinsics\.json: T_color_depth (puts|turns) the color camera "):
         open_sequence(recording)
 
 
@@ -104,7 +104,7 @@ def test_one_value_far_beyond_all_others(recording: Path, value: int, share: flo
 
 def test_scattered_depth_is_refused(recording: Path) -> None:
     change_depth(recording, 0, 0.93)
-    with pytest.raises(SequenceError, match="have 3 neighbours with depth: too sparse to make surfaces of"):
+    with pytest.raises(SequenceError, match="have 3 neighbors with depth: too sparse to make surfaces of"):
         open_sequence(recording)
 
 

@@ -44,7 +44,7 @@ def test_unknown_layout_name(recording: Path) -> None:
     assert layout_names()[:3] == ("auto", "7scenes", "bare")
 
 
-def test_unrecognised_folder(tmp_path: Path) -> None:
+def test_unrecognized_folder(tmp_path: Path) -> None:
     assert message(tmp_path) == (
         f"{tmp_path}: is in no layout that 3dvc knows; name it with --layout, or give --color DIR and --depth DIR"
     )
@@ -82,15 +82,15 @@ def test_color_without_depth(recording: Path) -> None:
     (recording / "depth" / "000002.png").unlink()
     assert message(recording) == (
         f"{recording / 'color' / '000002.png'}: has no depth picture in {recording / 'depth'} "
-        "(4 colour and 3 depth pictures); add the missing picture or remove this one"
+        "(4 color and 3 depth pictures); add the missing picture or remove this one"
     )
 
 
 def test_depth_without_color(recording: Path) -> None:
     (recording / "color" / "000001.png").unlink()
     assert message(recording) == (
-        f"{recording / 'depth' / '000001.png'}: has no colour picture in {recording / 'color'} "
-        "(3 colour and 4 depth pictures); add the missing picture or remove this one"
+        f"{recording / 'depth' / '000001.png'}: has no color picture in {recording / 'color'} "
+        "(3 color and 4 depth pictures); add the missing picture or remove this one"
     )
 
 
@@ -107,8 +107,8 @@ def test_counts_that_do_not_pair(recording: Path) -> None:
         (depth / f"{k:06d}.png").rename(depth / f"{k + 90:06d}.png")
     (depth / "000003.png").unlink()
     assert message(recording) == (
-        f"{color / '000000.png'}: has no depth picture in {depth}, and 000090.png there no colour picture "
-        "(4 colour and 3 depth pictures, 0 of their names agree); give the two pictures of a frame the same number"
+        f"{color / '000000.png'}: has no depth picture in {depth}, and 000090.png there no color picture "
+        "(4 color and 3 depth pictures, 0 of their names agree); give the two pictures of a frame the same number"
     )
 
 
@@ -141,7 +141,7 @@ def test_16_bit_color(recording: Path) -> None:
     path = recording / "color" / "000003.png"
     write_picture(path, np.full((48, 64, 3), 900, np.uint16))
     assert message(recording) == (
-        f"{path}: colour is 16-bit of 3 channels, expected 8-bit grey or RGB; convert the pictures to 8 bits"
+        f"{path}: color is 16-bit of 3 channels, expected 8-bit gray or RGB; convert the pictures to 8 bits"
     )
 
 

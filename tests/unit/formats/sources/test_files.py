@@ -144,13 +144,13 @@ def test_fill_bytes_before_jpeg_markers(tmp_path: Path, fill: bytes) -> None:
 def test_depth_with_alpha(tmp_path: Path, alpha: int) -> None:
     depth = depth_picture(SMALL, poses(1)[0], 1000)
     path = tmp_path / "depth.png"
-    path.write_bytes(grey_alpha_png(depth, alpha))
+    path.write_bytes(gray_alpha_png(depth, alpha))
     assert read_header(path).channels == 1
     assert np.array_equal(read_depth(path), depth)
 
 
-def grey_alpha_png(depth: np.ndarray, alpha: int) -> bytes:
-    """Return a 16-bit PNG of colour type 4; OpenCV writes none."""
+def gray_alpha_png(depth: np.ndarray, alpha: int) -> bytes:
+    """Return a 16-bit PNG of color type 4; OpenCV writes none."""
     pixels = np.stack([depth, np.full_like(depth, alpha)], axis=-1).astype(">u2")
     raw = b"".join(b"\0" + line.tobytes() for line in pixels)
     size = depth.shape[1].to_bytes(4, "big") + depth.shape[0].to_bytes(4, "big")

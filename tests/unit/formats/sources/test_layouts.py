@@ -48,7 +48,7 @@ def camera_entries(camera: Camera) -> dict[str, object]:
 
 
 def check_geometry(sequence: FolderSequence, tolerance_m: float) -> None:
-    """Depth warped from each frame to the next must agree, and the colours must be those of the walls."""
+    """Depth warped from each frame to the next must agree, and the colors must be those of the walls."""
     frames = list(sequence)
     rig = sequence.info.rig
     for source, target in pairwise(frames):
@@ -81,7 +81,7 @@ def test_plain_registered(tmp_path: Path) -> None:
     sequence = open_sequence(tmp_path)
     info = sequence.info
     assert (info.rig.registered, info.rig.color, info.depth_scale, info.fps) == (True, SMALL, 5000, 25)
-    assert (info.frame_count, info.grey, info.name) == (FRAMES, False, tmp_path.name)
+    assert (info.frame_count, info.gray, info.name) == (FRAMES, False, tmp_path.name)
     assert (info.has_camera_poses, info.has_object_poses, info.has_masks) == (True, False, False)
     assert [frame.timestamp_ns for frame in sequence] == [0, 40_000_000, 80_000_000]
     assert all(frame.color_timestamp_ns is None for frame in sequence)

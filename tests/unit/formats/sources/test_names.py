@@ -147,7 +147,7 @@ def test_pairs_by_time_where_both_sides_lost_frames() -> None:
     assert pairing.stamps[0] == (5 * MS, 0)
     assert [str(notice) for notice in pairing.notices] == [
         "Note: depth: the names are taken for times in milliseconds; 33 ms between frames",
-        "Note: .: 17 colour, 17 depth pictures, 15 pairs within 20 ms; 2 left out",
+        "Note: .: 17 color, 17 depth pictures, 15 pairs within 20 ms; 2 left out",
     ]
 
 
@@ -168,12 +168,12 @@ def test_few_times_take_the_unit_of_the_other_folder() -> None:
         (
             [str(k) for k in range(10) if k != 3],
             [str(k) for k in range(10) if k != 7],
-            "color/7.png: has no depth picture in depth, and 3.png there no colour picture (9 colour and 9 depth "
+            "color/7.png: has no depth picture in depth, and 3.png there no color picture (9 color and 9 depth "
             "pictures, 8 of their names agree)",
         ),
         (["1", "2", "3"], ["0", "1", "2"], "color/3.png: has no depth picture in depth, and 0.png there"),
-        (["0", "1", "2"], ["0", "1"], "color/2.png: has no depth picture in depth (3 colour and 2 depth pictures)"),
-        (["0", "1"], ["0", "1", "2"], "depth/2.png: has no colour picture in color (2 colour and 3 depth pictures)"),
+        (["0", "1", "2"], ["0", "1"], "color/2.png: has no depth picture in depth (3 color and 2 depth pictures)"),
+        (["0", "1"], ["0", "1", "2"], "depth/2.png: has no color picture in color (2 color and 3 depth pictures)"),
         (["a", "b", "c"], ["a", "b"], "color: names tell nothing that pairs these pictures with those in depth (3"),
         (["a", "b"], ["1", "2"], "color: names tell nothing that pairs these pictures with those in depth (2"),
         (["5.0", "5.033", "5.067"], ["9.0", "9.033", "9.067"], "color: names are times, and none is within 20 ms"),

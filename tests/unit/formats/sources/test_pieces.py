@@ -188,11 +188,11 @@ def test_progressive_jpeg_with_bytes_behind_it(tmp_path: Path) -> None:
 
 
 def test_reading_the_wrong_kind(tmp_path: Path) -> None:
-    grey, depth = tmp_path / "grey.png", tmp_path / "depth.png"
-    write_picture(grey, np.zeros((4, 4), np.uint8))
+    gray, depth = tmp_path / "gray.png", tmp_path / "depth.png"
+    write_picture(gray, np.zeros((4, 4), np.uint8))
     write_picture(depth, np.zeros((4, 4), np.uint16))
     with pytest.raises(SequenceError, match="uint8 with 2 axes, expected 16-bit depth"):
-        read_depth(grey)
+        read_depth(gray)
     with pytest.raises(SequenceError, match="uint16 with 2 axes, expected 8-bit labels"):
         read_mask(depth)
 

@@ -27,7 +27,7 @@ def write(folder: Path, color: Callable[[int], str], depth: Callable[[int], str]
 
 
 def check(sequence: FolderSequence, units: float = 1000.0) -> None:
-    """Frames must be in order and in metres."""
+    """Frames must be in order and in meters."""
     assert len(sequence) == FRAMES
     assert sequence.info.rig.depth == SMALL
     for frame, pose in zip(sequence, poses(FRAMES), strict=True):
@@ -49,7 +49,7 @@ def message(folder: Path, **options: str) -> str:
         ("color_{:04d}.png", "depth_{:04d}.png"),
         ("RGB{}.png", "Depth{}.png"),
         ("img_{:03d}.png", "img_{:03d}_depth.png"),
-        ("s2_{:03d}_colour.png", "s2_{:03d}_aligned_depth_to_color.png"),
+        ("s2_{:03d}_color.png", "s2_{:03d}_aligned_depth_to_color.png"),
     ],
 )
 def test_one_folder_of_both_pictures(tmp_path: Path, color: str, depth: str) -> None:
@@ -100,7 +100,7 @@ def test_cameras_and_depth_scale_of_bop(tmp_path: Path) -> None:
     check(sequence, units=10_000)
     assert np.unique(sequence[0].mask).tolist() == [1]
     assert str(sequence.notices[1]) == (
-        f"Note: {path}: the camera (fx 60) and the depth scale (10000 units per metre) is taken from this file"
+        f"Note: {path}: the camera (fx 60) and the depth scale (10000 units per meter) is taken from this file"
     )
     given = open_sequence(tmp_path, intrinsics="50,50,31,24.5").info
     assert (given.rig.depth.fx, given.depth_scale) == (50, 10_000)
@@ -159,7 +159,7 @@ def test_nerfstudio_with_small_depth(tmp_path: Path) -> None:
     for k in range(FRAMES):
         write_picture(tmp_path / "depths" / f"{k}.png", np.full((24, 32), 900, np.uint16))
     (tmp_path / "transforms.json").write_text(json.dumps(NERF))
-    assert "has one camera, but colour is 64x48 and depth 32x24; give --intrinsics" in message(tmp_path)
+    assert "has one camera, but color is 64x48 and depth 32x24; give --intrinsics" in message(tmp_path)
 
 
 def test_rtabmap(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_rtabmap(tmp_path: Path) -> None:
     [
         (
             ["rgb.mp4", "odometry.csv", "depth/000000.png"],
-            "holds a recording of Stray Scanner, whose colour is a video",
+            "holds a recording of Stray Scanner, whose color is a video",
         ),
         (["rgbd/0.jpg", "rgbd/0.depth", "metadata"], "holds an export of Record3D, whose depth is compressed; let it"),
         (["walk.bag"], "holds a rosbag; take its pictures out as color/NNNNNN.png and depth/NNNNNN.png first"),
@@ -200,7 +200,7 @@ def test_other_kinds_of_pictures(tmp_path: Path, kind: str, place: str) -> None:
     said = message(tmp_path, intrinsics=GIVEN)
     assert said.startswith(f"{tmp_path / place}: holds no .png or .jpg picture but {FRAMES} .{kind.lower()} files (")
     assert said.endswith(
-        "convert colour to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimetres, 0 where there is none"
+        "convert color to 8-bit PNG or JPEG, depth to 16-bit PNG, such as whole millimeters, 0 where there is none"
     )
 
 

@@ -40,12 +40,12 @@ def test_intrinsics_option_with_pictures_of_two_sizes(recording: Path) -> None:
     for k in range(FRAMES):
         write_picture(recording / "depth" / f"{k:06d}.png", np.full((24, 32), 900, np.uint16))
     assert message(recording, intrinsics="60,60,32,24") == (
-        "--intrinsics 60,60,32,24: one camera cannot have pictures of 64x48 (colour) and 32x24 (depth); "
+        "--intrinsics 60,60,32,24: one camera cannot have pictures of 64x48 (color) and 32x24 (depth); "
         "give a file with color, depth and T_color_depth"
     )
     (recording / "K.txt").write_text("60 0 32\n0 60 24\n0 0 1\n")
     assert message(recording, intrinsics="K.txt") == (
-        f"{recording / 'K.txt'}: holds one camera, but colour is 64x48 and depth 32x24; "
+        f"{recording / 'K.txt'}: holds one camera, but color is 64x48 and depth 32x24; "
         "give a JSON file with color, depth and T_color_depth"
     )
 
@@ -132,7 +132,7 @@ def test_implausible_depth_scale(recording: Path, scale: float, text: str) -> No
         write_picture(recording / "depth" / f"{k:06d}.png", np.tile(np.array([1500, 3000], np.uint16), (48, 32)))
     told = message(recording, depth_scale=scale)
     assert told.startswith(f"{recording / 'depth' / '000000.png'}: depth of {text}")
-    assert told.endswith(f"is implausible at {scale:g} units per metre; give --depth-scale (1000 for millimetres)")
+    assert told.endswith(f"is implausible at {scale:g} units per meter; give --depth-scale (1000 for millimeters)")
 
 
 def test_max_depth_that_leaves_nothing(recording: Path) -> None:
@@ -374,7 +374,7 @@ def test_icl_nuim_with_two_trajectories(recording: Path) -> None:
         ("1e400 rgb/a.png", "{path}:1: '1e400' is not a time in seconds within 292 years; correct the line"),
         (
             "99 rgb/a.png",
-            "{folder}: no colour picture within 20 ms of a depth picture; check rgb.txt and depth.txt",
+            "{folder}: no color picture within 20 ms of a depth picture; check rgb.txt and depth.txt",
         ),
         ("10 rgb/a.png", "{folder}/rgb/a.png: no such picture; add it or remove the frame from the recording"),
     ],
@@ -388,7 +388,7 @@ def test_bad_tum_lists(tmp_path: Path, rgb: str, expected: str) -> None:
 def test_bad_tum_associations(tmp_path: Path) -> None:
     path = tmp_path / "associations.txt"
     write_lines(path, ["10 rgb/a.png 10 rgb/b.png"])
-    assert message(tmp_path) == f"{path}:1: expected stamp, colour path, stamp, depth path; correct the line"
+    assert message(tmp_path) == f"{path}:1: expected stamp, color path, stamp, depth path; correct the line"
 
 
 def test_unreadable_text_file(recording: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a stream keeps of its input: options that were given, and the colour pictures' own times."""
+"""What a stream keeps of its input: options that were given, and the color pictures' own times."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SCALE = 2000.0
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Return a recording whose intrinsics tell half its depth scale, and whose colour is 5 ms late."""
+    """Return a recording whose intrinsics tell half its depth scale, and whose color is 5 ms late."""
     for k, pose in enumerate(poses(FRAMES)):
         write_picture(tmp_path / "left" / f"{k:06d}.png", color_picture(SMALL, pose))
         write_picture(tmp_path / "depth" / f"{k:06d}.png", depth_picture(SMALL, pose, SCALE))

@@ -58,7 +58,7 @@ MAX_TRIED_SAMPLES = 140_000
 WIDER_GRIDS = (1, 2, 4)
 """By how much wider than the finest the grids are that are tried."""
 STEPS = (0.024, 0.012)
-"""Quantisation steps as shares of the median inverse depth: errors of up to 1.2 and 0.6 %, about the 1 % by which depth
+"""Quantization steps as shares of the median inverse depth: errors of up to 1.2 and 0.6 %, about the 1 % by which depth
 is judged."""
 HALVINGS = (2, 4)
 """On how many levels the step is halved (`DepthSteps`): coarse levels tilt all that is predicted from them."""
@@ -96,7 +96,7 @@ def averaged_inverse_depth(frames: Iterable[tuple[Floats, Mask]]) -> Doubles:
     Parameters
     ----------
     frames
-        Depth (h, w) in metres, 0 = no measurement, and where objects are (h, w).
+        Depth (h, w) in meters, 0 = no measurement, and where objects are (h, w).
 
     Returns
     -------
@@ -144,7 +144,7 @@ def cheapest_depth_map(
 
 
 class _Settings(NamedTuple):
-    """What is tried: pixels between samples, quantisation step as a share of the middle, and see `DepthSteps`."""
+    """What is tried: pixels between samples, quantization step as a share of the middle, and see `DepthSteps`."""
 
     spacing: int
     step: float

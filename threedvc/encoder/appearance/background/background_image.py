@@ -40,12 +40,12 @@ class BackgroundImageCandidates:
     ----------
     picture
         (h, w, 3) uint8 RGB.
-    grey
+    gray
         Whether to code the luma alone.
     """
 
-    def __init__(self, picture: NDArray[np.uint8], grey: bool) -> None:
-        self.picture, self._grey = picture, grey
+    def __init__(self, picture: NDArray[np.uint8], gray: bool) -> None:
+        self.picture, self._gray = picture, gray
         self._made: dict[tuple[int, bool], tuple[bytes, float]] = {}
 
     def error(self, shown: NDArray[np.uint8]) -> float:
@@ -72,9 +72,9 @@ class BackgroundImageCandidates:
     def _coded(self, quality: int, *, thorough: bool) -> tuple[bytes, float]:
         key = quality, thorough
         if key not in self._made:
-            payload = encode_picture(self.picture, quality, self._grey, thorough=thorough)
+            payload = encode_picture(self.picture, quality, self._gray, thorough=thorough)
             height, width, _ = self.picture.shape
-            self._made[key] = payload, self.error(decode_picture(payload, width, height, self._grey))
+            self._made[key] = payload, self.error(decode_picture(payload, width, height, self._gray))
         return self._made[key]
 
 
@@ -84,14 +84,14 @@ def averaged_background(
     field: ColorField,
     threads: int,
 ) -> NDArray[np.uint8]:
-    """Average what the colour camera sees where no object is drawn before the background.
+    """Average what the color camera sees where no object is drawn before the background.
 
     Parameters
     ----------
     rig
         Cameras.
     frames
-        Frames, with the poses T_camera_object of their objects, and gain and offset (3,) of the colour camera.
+        Frames, with the poses T_camera_object of their objects, and gain and offset (3,) of the color camera.
     field
         The objects.
     threads

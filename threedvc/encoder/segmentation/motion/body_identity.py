@@ -25,7 +25,7 @@ from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.geometry.pose import Pose, inverse, make_pose, rotation_angle
 from threedvc.stream.pose_status import PoseStatus
 
-__all__ = ["color_histogram", "label_new_bodies", "merge_moving_together", "recognise_lost"]
+__all__ = ["color_histogram", "label_new_bodies", "merge_moving_together", "recognize_lost"]
 
 MIN_BIRTH_TRANSIENCE = 0.25
 """Share of the frames that tell about a surface that must have seen through it, so that it may be a body: what has just
@@ -60,7 +60,7 @@ def label_new_bodies(state: SegmenterState, prepared: PreparedFrame) -> None:
         prepared.labels[mask] = body.number
 
 
-def recognise_lost(state: SegmenterState, prepared: PreparedFrame) -> None:
+def recognize_lost(state: SegmenterState, prepared: PreparedFrame) -> None:
     """See whether new objects, now that more of them is seen, are ones that were lost."""
     index = prepared.index
     for body in state.bodies:
@@ -89,7 +89,7 @@ def merge_moving_together(state: SegmenterState, prepared: PreparedFrame) -> Non
 
 
 def color_histogram(state: SegmenterState, prepared: PreparedFrame, mask: Mask) -> Doubles:
-    """Count the colours of pixels (h, w); none where the colour camera is another one."""
+    """Count the colors of pixels (h, w); none where the color camera is another one."""
     if not state.rig.registered:
         return np.zeros(COLOR_LEVELS**3)
     levels = prepared.frame.color[mask].astype(np.intp) * COLOR_LEVELS // 256

@@ -27,8 +27,8 @@ from threedvc.parallel import for_ranges
 __all__ = ["DepthHistory", "FreeSpaceVotes"]
 
 UNIT_M = 0.0002
-"""Step of the depth that is kept: a fifth of a millimetre is below the noise of any sensor, and 16 bits of it reach 13
-metres."""
+"""Step of the depth that is kept: a fifth of a millimeter is below the noise of any sensor, and 16 bits of it reach 13
+meters."""
 MAX_UNITS = int(np.iinfo(np.uint16).max)
 WINDOW = 5
 """Side in pixels of the surroundings of which the least and the largest depth count: poses and edges are not exact."""
@@ -77,7 +77,7 @@ class DepthHistory:
         self._free = list(range(FIRST_SLOTS))
 
     def keep(self, frame: int, depth: Floats) -> None:
-        """Keep the depth (h, w) of a frame in metres."""
+        """Keep the depth (h, w) of a frame in meters."""
         units = np.rint(depth / UNIT_M)
         known = (units > 0) & (units < MAX_UNITS)
         near = cv2.erode(np.where(known, units, MAX_UNITS).astype(np.uint16), square(WINDOW))
@@ -117,7 +117,7 @@ class DepthHistory:
         Parameters
         ----------
         depth, mask
-            (h, w) depth of the frame in metres, and the pixels to ask for.
+            (h, w) depth of the frame in meters, and the pixels to ask for.
         pose
             T_camera_object of the frame for what the points are taken to belong to.
         frames

@@ -21,7 +21,7 @@ from threedvc.encoder.segmentation.motion.body_identity import (
     color_histogram,
     label_new_bodies,
     merge_moving_together,
-    recognise_lost,
+    recognize_lost,
 )
 from threedvc.encoder.segmentation.motion.camera_pass import CameraPass
 from threedvc.encoder.segmentation.motion.downsampling import Downsampling
@@ -88,16 +88,16 @@ class MotionSegmenter:
         label_followed(state, prepared, followed)
         label_new_bodies(state, prepared)
         label_remnants(prepared)
-        recognise_lost(state, prepared)
+        recognize_lost(state, prepared)
         merge_moving_together(state, prepared)
         _fuse_bodies(state, prepared)
         _note_departures(state, prepared)
-        unlabelled = np.where(_transient_pixels(prepared), TRANSIENT_LABEL, 0)
-        return np.where(prepared.labels, prepared.labels, unlabelled).astype(np.uint16)
+        unlabeled = np.where(_transient_pixels(prepared), TRANSIENT_LABEL, 0)
+        return np.where(prepared.labels, prepared.labels, unlabeled).astype(np.uint16)
 
 
 def _fuse_bodies(state: SegmenterState, prepared: PreparedFrame) -> None:
-    """Take what a frame shows of each body into its model, and into what is known of its motion and its colours."""
+    """Take what a frame shows of each body into its model, and into what is known of its motion and its colors."""
     for body in state.bodies:
         pose, mask = body.pose_of(prepared.index), prepared.pixels_of(body)
         if pose is not None and mask.any():

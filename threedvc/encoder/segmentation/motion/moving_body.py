@@ -21,7 +21,7 @@ MAX_LOST_FRAMES = 5
 MAX_PREDICTED_FRAMES = 2
 """Frames that a body is thought to go on for with its last velocity: what is predicted further ahead is a guess."""
 COLOR_LEVELS = 4
-"""Levels of each channel that colours are counted by: coarse, so that light and exposure do not move them."""
+"""Levels of each channel that colors are counted by: coarse, so that light and exposure do not move them."""
 MIN_COMMON_COLORS = 0.4
 """Part of two histograms that must be the same in what may be one body: less than half, for other sides show others."""
 
@@ -53,7 +53,7 @@ class MotionHypothesis:
     pixels
         By frame, how many it covered.
     color_histogram
-        (COLOR_LEVELS^3,) pixels by their colour, in all frames.
+        (COLOR_LEVELS^3,) pixels by their color, in all frames.
     gone
         Whether its last place was seen to be empty.
     confirmed_in
@@ -118,7 +118,7 @@ class MotionHypothesis:
         self.merged_into, self.dropped, self.gone = old, True, True
 
     def looks_like(self, histogram: Doubles) -> bool:
-        """Tell whether enough of its colours are those counted in a histogram (COLOR_LEVELS^3,), or none are known."""
+        """Tell whether enough of its colors are those counted in a histogram (COLOR_LEVELS^3,), or none are known."""
         sums = float(self.color_histogram.sum()), float(histogram.sum())
         if not all(sums):
             return True

@@ -21,7 +21,7 @@ FAR_RADII, FAR_SHARE = 2.0, 0.1
 MIN_EXPLAINED = 0.6
 """Part of its surfaces that its model must show on an average: what changes its shape does not move as one."""
 MIN_DISPLACEMENT_M, MIN_DISPLACEMENT = 0.02, 0.03
-"""Metres, and part of its distance, that it must have gone: more than errors of poses and of calibration."""
+"""Meters, and part of its distance, that it must have gone: more than errors of poses and of calibration."""
 
 
 def is_object(state: SegmenterState, body: MotionHypothesis) -> bool:

@@ -40,7 +40,7 @@ GATE_SIGMAS = 4.0
 """Deviations of the sensor by which a depth may differ from a model's: one in 16,000 differs by more by chance."""
 COARSE_GATE, FINE_GATE = 0.03, 0.01
 """Parts of the depth by which it may differ from a model's in addition, at a predicted pose and at one that was found:
-15 mm at half a metre, for the prediction may be off by what a thing moves in a frame, and 5 mm."""
+15 mm at half a meter, for the prediction may be off by what a thing moves in a frame, and 5 mm."""
 MIN_PIXELS = 60
 """Pixels of the smallest surface that is followed: less of it is mostly edge and tells no pose."""
 AGREEMENT = 0.7
@@ -88,7 +88,7 @@ class PreparedFrame:
 
     @property
     def depth(self) -> Floats:
-        """(h, w) metres."""
+        """(h, w) meters."""
         return self.frame.depth
 
     def gate_m(self, share: float) -> Floats:
@@ -96,7 +96,7 @@ class PreparedFrame:
         return self.noise_m + np.float32(share) * self.depth
 
     def pixels_of(self, body: MotionHypothesis) -> Mask:
-        """Return the pixels (h, w) labelled as a body."""
+        """Return the pixels (h, w) labeled as a body."""
         return np.asarray(self.labels == body.number, dtype=np.bool_)
 
     def relabel(self, body: MotionHypothesis, as_body: MotionHypothesis) -> None:

@@ -15,15 +15,16 @@ from threedvc.encoder.segmentation.motion.downsampling import Downsampling
 from threedvc.encoder.segmentation.motion.free_space import DepthHistory
 from threedvc.encoder.segmentation.motion.moving_body import MotionHypothesis
 from threedvc.encoder.segmentation.motion.reference_frames import ReferenceFrames
+from threedvc.frames.depth_limit import limited_depth
 from threedvc.frames.frame import Frame, SequenceInfo
-from threedvc.frames.sensor_model import SensorModel, within
+from threedvc.frames.sensor_model import SensorModel
 from threedvc.geometry.camera import CameraRig
 from threedvc.geometry.pose import Pose
 
 __all__ = ["FUSION", "SegmenterState", "cell_size"]
 
 CELL_PIXELS = 2.0
-"""Pixels that a cell covers: fewer cells are quicker, and models need be no finer than to be recognised by."""
+"""Pixels that a cell covers: fewer cells are quicker, and models need be no finer than to be recognized by."""
 MIN_CELL_M = 0.002
 """Edge of the smallest cells: below it they would follow the noise of most sensors."""
 CELL_DISTANCE_PERCENTILE = 75
@@ -64,7 +65,7 @@ class SegmenterState:
         self, info: SequenceInfo, config: EncoderConfig, sensor: SensorModel, downsampling: Downsampling
     ) -> None:
         self.sensor, self.threads = sensor, config.threads
-        self._max_depth_m = config.max_depth_m or sensor.reach_m
+        self._max_depth_m = config.max_depth_m
         self._downsampling, self.rig = downsampling, downsampling.rig
         self.rays = self.rig.depth.rays()
         self.full, self.coarse = (Downsampled(self.rig, n, sparse=False, flat=True) for n in (1, 2))
@@ -76,7 +77,7 @@ class SegmenterState:
     def downsampled(self, frame: Frame) -> Frame:
         """Return a frame downsampled, without what is too far to be measured."""
         small = self._downsampling.downsampled(frame)
-        return replace(small, depth=within(small.depth, self._max_depth_m))
+        return replace(small, depth=limited_depth(small.depth, self._max_depth_m, self.sensor))
 
     def pose_of(self, frame: int) -> Pose | None:
         """Return T_camera_world of a frame observed, or None."""
@@ -98,7 +99,7 @@ class SegmenterState:
 
 
 def cell_size(depth: Floats, mask: Mask, rig: CameraRig, percentile: int = CELL_DISTANCE_PERCENTILE) -> float:
-    """Return the edge in metres of a cell that covers about two pixels of what is seen at `mask` (h, w)."""
+    """Return the edge in meters of a cell that covers about two pixels of what is seen at `mask` (h, w)."""
     seen = depth[mask & (depth > 0)]
     distance = float(np.percentile(seen, percentile)) if len(seen) else 1.0
     return max(round(CELL_PIXELS * distance / rig.depth.fx, 3), MIN_CELL_M)

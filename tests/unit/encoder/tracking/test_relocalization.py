@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from threedvc.encoder.tracking import relocalisation
-from threedvc.encoder.tracking.relocalisation import Keyframes
+from threedvc.encoder.tracking import relocalization
+from threedvc.encoder.tracking.relocalization import Keyframes
 from threedvc.frames.frame import Frame
 from threedvc.geometry.pose import Pose, inverse, rotation_angle
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -89,7 +89,7 @@ def test_a_frame_without_depth_is_not_kept() -> None:
 
 
 def test_of_many_keyframes_the_most_alike_are_matched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(relocalisation, "MAX_TRIED", 1)
+    monkeypatch.setattr(relocalization, "MAX_TRIED", 1)
     few = kept(0, 29)
     assert len(few) == 2
     assert_near(few.query(frame_of(0))[0].T_camera_object, 0)

@@ -150,14 +150,14 @@ class Keyframes:
 
     def _features(self, frame: Frame) -> tuple[Doubles, Descriptors]:
         """Return pixels (n, 2) in the color camera and descriptors (n, 32)."""
-        grey = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-        height, width = grey.shape
+        gray = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        height, width = gray.shape
         scale = max(1, round(max(width, height) / PICTURE_SIDE))
         if scale > 1:
             small = width // scale, height // scale
-            grey = np.asarray(cv2.resize(grey, small, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        border = min(BORDER, min(grey.shape) // 8)
-        pixels, descriptors = detect_features(grey, MAX_FEATURES, border)
+            gray = np.asarray(cv2.resize(gray, small, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        border = min(BORDER, min(gray.shape) // 8)
+        pixels, descriptors = detect_features(gray, MAX_FEATURES, border)
         return (pixels + 0.5) * scale - 0.5, descriptors
 
     def _lift(self, frame: Frame, mask: Mask, pixels: Doubles) -> tuple[Doubles, Mask]:
@@ -206,7 +206,7 @@ class Keyframes:
         turn, shift = cv2.solvePnPRefineLM(points[follow], places[follow], matrix, parameters[4:9], turn, shift)
         R = rotation_from_vector(np.asarray(turn, dtype=np.float64).ravel())
         T_color_object = make_pose(R, np.asarray(shift, dtype=np.float64).ravel())
-        return PoseHypothesis(rig.at_base(compose(inverse(rig.T_color_depth), T_color_object)), len(follow))
+        return PoseHypothesis(rig.at_rig(compose(inverse(rig.T_color_depth), T_color_object)), len(follow))
 
 
 def _stride_of(rig: CameraRig) -> tuple[slice, slice]:
@@ -226,7 +226,7 @@ def _near(kept: _Keyframe, T_camera_object: Pose) -> bool:
 
 
 def _thumbnail(frame: Frame) -> Doubles:
-    """Return a small grey picture as a vector of mean 0 and length 1, so that exposure does not matter."""
+    """Return a small gray picture as a vector of mean 0 and length 1, so that exposure does not matter."""
     small = cv2.resize(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), THUMBNAIL, interpolation=cv2.INTER_AREA)
     values = small.astype(np.float64).ravel()
     values -= values.mean()
