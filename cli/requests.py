@@ -75,6 +75,7 @@ class EncodeRequest(ReaderRequest):
     preset: str
     bitrate: float | None
     quality: int | None
+    favor: str | None
     relief: int | None
     depth_video: str
     color_video: str
@@ -115,9 +116,11 @@ class EncodeRequest(ReaderRequest):
     def configuration(self, sensors: int) -> EncoderConfig:
         """Return the encoder's choices for so many sensors; raises click.UsageError where options contradict."""
         from threedvc.config import (
+            DEPTH_WEIGHTS,
             ColorVideo,
             DepthVideo,
             EncoderConfig,
+            Favor,
             Motion,
             Preset,
             Sensor,
@@ -138,6 +141,7 @@ class EncodeRequest(ReaderRequest):
             segmentation=self.segment,
             focus=self.focus,
             depth_video=DepthVideo(self.depth_video),
+            depth_weight=DEPTH_WEIGHTS[Favor(self.favor or "neither")],
             color_video=ColorVideo(self.color_video),
             depth_error=self.depth_error,
             threads=self.threads or default_threads(),

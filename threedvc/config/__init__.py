@@ -5,6 +5,7 @@ from threedvc.config.choices import (
     ColorVideo,
     DepthErrorKind,
     DepthVideo,
+    Favor,
     FilterParts,
     Motion,
     Preset,
@@ -12,7 +13,7 @@ from threedvc.config.choices import (
     Sensor,
 )
 from threedvc.config.drawing import ExplorationConfig, RenderConfig
-from threedvc.config.encoder import EncoderConfig
+from threedvc.config.encoder import DEPTH_WEIGHTS, EncoderConfig
 from threedvc.config.presets import with_lossless, with_preset, with_quality, with_step
 from threedvc.config.stages import (
     AppearanceConfig,
@@ -26,6 +27,7 @@ from threedvc.config.stages import (
 )
 
 __all__ = [
+    "DEPTH_WEIGHTS",
     "AppearanceConfig",
     "ColorConfig",
     "ColorVideo",
@@ -34,6 +36,7 @@ __all__ = [
     "DepthVideo",
     "EncoderConfig",
     "ExplorationConfig",
+    "Favor",
     "FilterParts",
     "FusionConfig",
     "Motion",

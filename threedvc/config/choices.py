@@ -9,6 +9,7 @@ __all__ = [
     "ColorVideo",
     "DepthErrorKind",
     "DepthVideo",
+    "Favor",
     "FilterParts",
     "Motion",
     "Preset",
@@ -60,6 +61,14 @@ class ColorVideo(StrEnum):
     AUTO = "auto"
     ON = "on"
     OFF = "off"
+
+
+class Favor(StrEnum):
+    """What gets more of the bytes than usual."""
+
+    NEITHER = "neither"
+    COLOR = "color"
+    DEPTH = "depth"
 
 
 class Sensor(StrEnum):

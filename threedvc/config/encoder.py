@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from threedvc.config.choices import ColorVideo, DepthErrorKind, DepthVideo, Motion, Sensor
+from threedvc.config.choices import ColorVideo, DepthErrorKind, DepthVideo, Favor, Motion, Sensor
 from threedvc.config.stages import (
     AppearanceConfig,
     ColorConfig,
@@ -19,7 +19,12 @@ from threedvc.config.stages import (
 from threedvc.errors import ConfigError
 from threedvc.parallel import default_threads
 
-__all__ = ["EncoderConfig"]
+__all__ = ["DEPTH_WEIGHTS", "EncoderConfig"]
+
+DEPTH_WEIGHTS = {Favor.NEITHER: 4.0, Favor.COLOR: 4.0 / 3, Favor.DEPTH: 12.0}
+"""Measured (decision 0034)."""
+MAX_DEPTH_WEIGHT = 100.0
+"""With more, colors would count for nothing."""
 
 MIN_VOXEL_SIZE_M = 0.0005
 """Half a millimeter: depth pictures in millimeters tell no more."""
@@ -62,6 +67,9 @@ class EncoderConfig:
         See `DepthVideo`.
     depth_error
         See `DepthErrorConfig`; the bytes of such depth follow from it.
+    depth_weight
+        What the misfit of depth counts beside the logarithm of the squared error of colors, where one is held against
+        the other, see `threedvc.encoder.rate.objective`.
     color_video, video
         See `ColorVideo` and `VideoConfig`.
     causal
@@ -89,6 +97,7 @@ class EncoderConfig:
     refine: bool = True
     depth_video: DepthVideo = DepthVideo.AUTO
     depth_error: DepthErrorConfig = field(default_factory=DepthErrorConfig)
+    depth_weight: float = DEPTH_WEIGHTS[Favor.NEITHER]
     color_video: ColorVideo = ColorVideo.AUTO
     video: VideoConfig = field(default_factory=VideoConfig)
     causal: bool = False
@@ -109,6 +118,10 @@ class EncoderConfig:
             raise ConfigError(f"a rate of {self.bitrate_bps:g} bit/s is too low; give at least {minimum / 1000:g}k")
         if not 0.1 <= self.live_buffer_s <= 60:
             raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
+        if not 0 < self.depth_weight <= MAX_DEPTH_WEIGHT:
+            raise ConfigError(
+                f"weight {self.depth_weight:g} of depth must be more than 0 and at most {MAX_DEPTH_WEIGHT:g}"
+            )
         if self.causal and self.depth_video is DepthVideo.ON:
             raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
         if self.causal and self.color_video is ColorVideo.ON:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from threedvc.encoder.reconstruction.depth_consistency import sampled_frames
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.geometry.pose import Pose
-from threedvc.metrics.depth_errors import geman_mcclure_error
+from threedvc.metrics.depth_errors import geman_mcclure_error, shown_depth_error
 
-__all__ = ["least_color_error", "rate_distortion_at", "weighed_misfit"]
+__all__ = ["depth_misfit", "least_color_error", "rate_distortion_at", "weighed_misfit"]
 
 TRIAL_SAMPLES = 500_000
 """A quarter of those of the fit that counts: only one error is held against another."""
@@ -43,7 +43,7 @@ def rate_distortion_at(
     state = FitState(scene, frames, shifts, TRIAL_SAMPLES)
     fit_colors(state)
     sizes, errors = zip(*(_coded(state, step) for step in TRIAL_STEPS), strict=True)
-    return error_at(budget_bytes, sizes, errors) + weighed_misfit(_depth_misfit(state))
+    return error_at(budget_bytes, sizes, errors) + weighed_misfit(geman_mcclure_error(_drawn_and_measured(state)))
 
 
 def least_color_error(scene: Scene, frames: FrameSequence) -> float:
@@ -51,6 +51,11 @@ def least_color_error(scene: Scene, frames: FrameSequence) -> float:
     state = FitState(scene, frames, None, TRIAL_SAMPLES)
     fit_colors(state)
     return log_color_error(state)
+
+
+def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
+    """Return the `shown_depth_error` of what is drawn of a scene's frames."""
+    return shown_depth_error(_drawn_and_measured(FitState(scene, frames, None, TRIAL_SAMPLES)))
 
 
 def weighed_misfit(misfit: float) -> float:
@@ -72,12 +77,9 @@ def _coded(state: FitState, luma_step: float) -> tuple[int, float]:
     return total, error
 
 
-def _depth_misfit(state: FitState) -> float:
-    """Return the `geman_mcclure_error` of what is drawn."""
-
-    def drawn_and_measured(frame: int) -> tuple[Floats, Floats]:
+def _drawn_and_measured(state: FitState) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the depth that is drawn and that is measured (n,), of frames spread over the sequence."""
+    for frame in sampled_frames(state.frames):
         caster = state.depth_caster(frame)
         depth, _ = caster.cast(state.colors.models, state.poses_in(frame))
-        return depth, caster.measured(state.measured(frame))
-
-    return geman_mcclure_error(map(drawn_and_measured, sampled_frames(state.frames)))
+        yield depth, caster.measured(state.measured(frame))

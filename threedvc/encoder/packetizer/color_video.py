@@ -20,7 +20,7 @@ from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.framing_sizes import COLOR_VIDEO_FRAMING_BYTES
 from threedvc.stream.packets import Packet, VideoCodec
 
-__all__ = ["ColorVideoWriter", "PictureCoding", "picture_coding"]
+__all__ = ["HALVING", "ColorVideoWriter", "PictureCoding", "picture_coding", "video_bytes"]
 
 BITS = 10
 """Of a sample, whatever the input has: sums are rounded less, for 2 % fewer bytes (decision 0030)."""
@@ -72,18 +72,23 @@ class ColorVideoWriter:
         Its frames.
     batch_frames
         Frames of a BATCH; no run of pictures crosses its end.
+
+    Attributes
+    ----------
+    coded
+        The packets so far, by coarseness.
     """
 
     def __init__(self, scene: Scene, frames: FrameSequence, batch_frames: int) -> None:
         self._scene, self._frames = scene, frames
         self._runs = [self._run(*run) for run in self._numbers(batch_frames)]
-        self._coded: dict[float, list[Packet]] = {}
+        self.coded: dict[float, list[Packet]] = {}
 
     def packets(self, coarseness: float) -> list[Packet]:
         """Return the COLOR_VIDEO packets at a coarseness, in the order of their frames; a lossless video has none."""
-        if coarseness not in self._coded:
-            self._coded[coarseness] = [self._packet(run, picture_coding(coarseness)) for run in self._runs]
-        return self._coded[coarseness]
+        if coarseness not in self.coded:
+            self.coded[coarseness] = [self._packet(run, picture_coding(coarseness)) for run in self._runs]
+        return self.coded[coarseness]
 
     def packets_within(self, budget_bytes: float) -> list[Packet]:
         """Return the finest packets of at most so many bytes that a few trials find, or the coarsest there are."""

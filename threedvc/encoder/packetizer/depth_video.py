@@ -18,7 +18,7 @@ from threedvc.coding.picture_sequence import can_encode_sequences, decode_sequen
 from threedvc.decoder.replay import replay
 from threedvc.encoder.packetizer.depth_run import DepthMaps, EncodedDepthRun, PictureFormat, encode_depth_run
 from threedvc.encoder.packetizer.frame_runs import runs_of
-from threedvc.encoder.rate.rate_control import DEPTH_SHARE, SHARE_PER_BYTE, stream_bytes
+from threedvc.encoder.rate.objective import ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
@@ -42,14 +42,12 @@ MIN_GAIN = 0.05
 """What a video must gain beyond its price (decision 0019): trials are small, and a stream without one is simpler."""
 ALIKE = 0.01
 """Of choices whose gains differ by no more, the finest is taken: trials are coded less thoroughly."""
-MAX_RATE_SHARE = 0.6
-"""Share of the bytes of a stream of given rate that a video may take: models and colors need the rest; by hand."""
+MAX_RATE_SHARE = 0.8
+"""Share of the bytes of colors of a stream of given rate that a video may take: these need the rest; by hand."""
 MAX_SCALE_SHARE = 0.99
 """Of the greatest scale within the limit of samples: sides are rounded."""
 MIN_SIDE = 16
 """No side of a picture is smaller, unless the depth map's is; by hand."""
-MISFIT_FLOOR = 1e-4
-"""A misfit this small is as good as none; it keeps logarithms finite."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +103,7 @@ def choose_depth_video(
     scene: Scene,
     frames: FrameSequence,
     packets: Sequence[Packet],
-    target_bytes: float | None,
+    cost: ColorCost,
     group: int,
     *,
     sure: bool,
@@ -120,8 +118,8 @@ def choose_depth_video(
         Its frames.
     packets
         The stream without a video.
-    target_bytes
-        What the stream shall take with it, or None: the video is added to its bytes.
+    cost
+        What bytes cost that a video takes.
     group
         Frames of a BATCH, no run of pictures crosses its end.
     sure
@@ -129,7 +127,6 @@ def choose_depth_video(
     """
     if not can_encode_sequences():
         return []
-    total = float(stream_bytes(packets) if target_bytes is None else target_bytes)
     videos: list[Packet] = []
     for sensor in range(len(scene.info.rigs)):
         taken = [frame for frame, record in enumerate(scene.records) if record.sensor == sensor]
@@ -139,11 +136,10 @@ def choose_depth_video(
         own = _SensorFrames(
             scene=scene, frames=frames, packets=packets, sensor=sensor, seeing=seeing, batch_frames=group
         )
-        own_bytes = total * len(taken) / len(frames)
-        choice = DepthVideoTrial(own, own_bytes, fixed=target_bytes is not None).best(sure=sure)
+        choice = DepthVideoTrial(own, cost).best(sure=sure)
         if choice is not None:
             videos += DepthVideoWriter(own).packets(choice)
-    max_bytes = inf if target_bytes is None else MAX_RATE_SHARE * total
+    max_bytes = inf if cost.budget_bytes is None else MAX_RATE_SHARE * cost.budget_bytes
     return videos if sum(len(video.payload) for video in videos) <= max_bytes else []
 
 
@@ -154,15 +150,14 @@ class DepthVideoTrial:
     ----------
     own
         The sensor's frames.
-    own_bytes
-        What the stream takes for them.
-    fixed
-        Whether a video takes its bytes from these; else it is added to them.
+    cost
+        What bytes cost.
     """
 
-    def __init__(self, own: _SensorFrames, own_bytes: float, *, fixed: bool) -> None:
+    def __init__(self, own: _SensorFrames, cost: ColorCost) -> None:
         self._threads = own.scene.config.threads
-        self._own_bytes, self._fixed = own_bytes, fixed
+        self._cost, self._weight = cost, own.scene.config.depth_weight
+        self._part = len(own.seeing) / len(own.frames)
         first = max(0, (len(own.seeing) - TRIAL_FRAMES) // 2)
         numbers = own.seeing[first : first + TRIAL_FRAMES]
         self._share = len(numbers) / len(own.seeing)
@@ -182,8 +177,10 @@ class DepthVideoTrial:
             choice = self._format(scale)
             if choice not in gains:
                 gains[choice] = self._gain(choice)
-            if gains[choice] < HOPELESS_GAIN and not sure:
-                return None
+            if gains[choice] == -inf or (gains[choice] < HOPELESS_GAIN and not sure):
+                break
+        if max(gains.values()) < HOPELESS_GAIN and not sure:
+            return None
         middle = max(gains, key=lambda each: gains[each])
         for quality in OTHER_QUALITIES:
             choice = middle._replace(quality=quality)
@@ -204,13 +201,12 @@ class DepthVideoTrial:
         """Return what a video gains: what it takes off the misfit less the price of its bytes."""
         run = encode_depth_run(self._measured, self._measured, choice, thorough=False)
         video_bytes = (len(run.payload) + VIDEO_FRAMING_BYTES) / self._share
-        if self._fixed and video_bytes > MAX_RATE_SHARE * self._own_bytes:
+        budget = self._cost.budget_bytes
+        if budget is not None and video_bytes > MAX_RATE_SHARE * budget:
             return -inf
-        share = video_bytes / self._own_bytes
-        dearer = -np.log(1 - share) if self._fixed else np.log(1 + share)
-        misfit = self._misfit_with(self._shown(run, choice))
-        better = np.log((self._misfit + MISFIT_FLOOR) / (misfit + MISFIT_FLOOR))
-        return float(DEPTH_SHARE * better - SHARE_PER_BYTE * dearer)
+        dearer = self._cost.at(video_bytes) - self._cost.at(0)
+        better = self._misfit - self._misfit_with(self._shown(run, choice))
+        return self._weight * self._part * better - dearer
 
     def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
         """Return what a decoder shows by a run instead of the depth drawn of some frames, by their place in it."""

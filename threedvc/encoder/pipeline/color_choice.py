@@ -13,6 +13,8 @@ from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import ColorVideo, DepthErrorKind
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance, fit_appearance, fit_geometry
 from threedvc.encoder.appearance.rate_distortion import least_color_error
+from threedvc.encoder.packetizer.color_video import ColorVideoWriter
+from threedvc.encoder.packetizer.color_video_trials import color_cost
 from threedvc.encoder.packetizer.depth_residual import residual_packets
 from threedvc.encoder.pipeline.budget import bits_per_second, stream_budget
 from threedvc.encoder.pipeline.color_video_stream import color_video_stream
@@ -62,10 +64,12 @@ def file_stream(found: Reconstruction, fusion: FusionPass) -> FileStream:
 
 def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
     """Let a video show the colors."""
-    state = improve_geometry(found, fusion)
+    writer = ColorVideoWriter(found.scene, fusion.frames, batch_length(found.info, found.config, video=True))
+    cost = color_cost(writer, found.scene, fusion.frames, found.config.video, stream_budget(found))
+    state = improve_geometry(found, fusion, cost)
     fitted = fit_geometry(state.scene, fusion.frames)
     builder = _builder(state, fitted, fusion, video=True)
-    return FileStream(state, color_video_stream(builder, fusion.frames))
+    return FileStream(state, color_video_stream(builder, fusion.frames, writer, cost))
 
 
 def _with_model_colors(found: Reconstruction, fusion: FusionPass) -> FileStream:

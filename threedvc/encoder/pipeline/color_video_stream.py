@@ -9,20 +9,22 @@ from threedvc.encoder.packetizer.color_video import ColorVideoWriter
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.rate_search import depth_videos
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
+from threedvc.encoder.rate.objective import ColorCost
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.packets import Packet
 
 __all__ = ["color_video_stream"]
 
-MIN_VIDEO_SHARE = 0.3
+MIN_VIDEO_SHARE = 0.1
 """Share of a stream of given rate that colors get at least, however much models and a depth video take; by hand."""
 
 
-def color_video_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
-    """Return all packets, with a video of colors, and one of depth where it is worth it."""
+def color_video_stream(
+    builder: StreamBuilder, frames: FrameSequence, writer: ColorVideoWriter, cost: ColorCost
+) -> list[Packet]:
+    """Return all packets, with a video of colors, and one of depth where it is worth what it costs."""
     state = builder.state
-    writer = ColorVideoWriter(state.scene, frames, builder.batch_frames)
     budget = stream_budget(state)
     bare = _built(builder, ())
 
@@ -33,7 +35,7 @@ def color_video_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Pa
 
     video = colors(bare)
     packets = _built(builder, video)
-    depth = depth_videos(builder, packets, frames)
+    depth = depth_videos(builder, packets, frames, cost.beside(stream_bytes(bare)))
     if not depth:
         return packets
     if budget is not None:

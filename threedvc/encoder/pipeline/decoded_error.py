@@ -10,7 +10,7 @@ import numpy as np
 
 from threedvc.decoder.frame_state import FrameState
 from threedvc.decoder.replay import replay
-from threedvc.encoder.appearance.rate_distortion import weighed_misfit
+from threedvc.encoder.rate.objective import objective
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence, sampling_stride
 from threedvc.metrics.depth_errors import shown_depth_error
@@ -29,17 +29,12 @@ class DecodedError(NamedTuple):
     ----------
     color
         Mean over frames of the logarithm of the mean squared error plus one.
-    depth
-        The depth's misfit as it counts beside that.
+    total
+        The objective, with the depth's misfit beside that.
     """
 
     color: float
-    depth: float
-
-    @property
-    def total(self) -> float:
-        """Both together: a tenth less of the one is worth two tenths less of the other."""
-        return self.color + self.depth
+    total: float
 
 
 def decoded_error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence) -> DecodedError:
@@ -68,4 +63,5 @@ def decoded_error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence
         squares = np.square(color.astype(np.float32) - frame.color)
         colors.append(float(np.log(squares.mean() + 1)))
         depths.append((depth, frame.depth))
-    return DecodedError(float(np.mean(colors)), weighed_misfit(shown_depth_error(depths)))
+    color_error = float(np.mean(colors))
+    return DecodedError(color_error, objective(color_error, shown_depth_error(depths), scene.config.depth_weight))

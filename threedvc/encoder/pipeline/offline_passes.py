@@ -20,9 +20,11 @@ from threedvc.encoder.pipeline.cell_size_trials import (
     with_affordable_cells,
     with_affordable_geometry,
     with_best_cells,
+    with_best_geometry,
     with_relief_chosen,
 )
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
+from threedvc.encoder.rate.objective import ColorCost
 from threedvc.encoder.reconstruction.color_calibration import calibrate_color_cameras
 from threedvc.encoder.reconstruction.depth_consistency import background_depth_error, reclassify_sensors
 from threedvc.encoder.reconstruction.extrinsic_calibration import calibrate_extrinsics
@@ -91,8 +93,11 @@ def improve(state: Reconstruction, fusion: FusionPass) -> tuple[Reconstruction, 
     return with_relief_chosen(state), shifts
 
 
-def improve_geometry(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
-    """Choose cells, calibrate cameras and refine poses where pictures do not count: a video shows them."""
+def improve_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCost) -> Reconstruction:
+    """Choose cells, calibrate cameras and refine poses where pictures do not count: a video shows them.
+
+    `cost` is what bytes cost that the video does not get.
+    """
     state = with_affordable_geometry(state, fusion)
     if state.config.refine:
         state = _with_extrinsics(state, fusion)
@@ -100,6 +105,7 @@ def improve_geometry(state: Reconstruction, fusion: FusionPass) -> Reconstructio
         state = _with_closed_loops(state, fusion)
         if state.config.appearance.rounds and state.scene.objects[0].may_move:
             state, _, _ = _with_poses_of_depth(state, fusion)
+        state = with_best_geometry(state, fusion, cost)
     return with_relief_chosen(state)
 
 

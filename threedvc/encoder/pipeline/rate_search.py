@@ -11,7 +11,15 @@ from threedvc.encoder.packetizer.depth_video import choose_depth_video
 from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fit_post_filter
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
-from threedvc.encoder.rate.rate_control import CLOSE, MAX_STEP_RATIO, MIN_STEP, bisect_step, stream_bytes
+from threedvc.encoder.rate.objective import ColorCost
+from threedvc.encoder.rate.rate_control import (
+    CLOSE,
+    MAX_STEP_RATIO,
+    MIN_STEP,
+    SHARE_PER_BYTE,
+    bisect_step,
+    stream_bytes,
+)
 from threedvc.frames.sequence import FrameSequence
 from threedvc.stream.packets import Packet
 
@@ -67,11 +75,20 @@ def rated_stream(builder: StreamBuilder, frames: FrameSequence) -> list[Packet]:
     return packets
 
 
-def depth_videos(builder: StreamBuilder, packets: Sequence[Packet], frames: FrameSequence) -> list[Packet]:
-    """Return VIDEO packets of depth that the models do not tell, if it is worth it."""
+def depth_videos(
+    builder: StreamBuilder, packets: Sequence[Packet], frames: FrameSequence, cost: ColorCost | None = None
+) -> list[Packet]:
+    """Return VIDEO packets of depth that the models do not tell, if it is worth it.
+
+    `cost` is what bytes cost beside a video of colors; None: `packets` are those of a stream with model colors.
+    """
     state = builder.state
     mode = state.config.depth_video if state.config.depth_error.kind is DepthErrorKind.MODEL else DepthVideo.OFF
     if mode is DepthVideo.OFF or (mode is DepthVideo.AUTO and not state.config.refine):
         return []
     wanted = mode is DepthVideo.ON
-    return choose_depth_video(state.scene, frames, packets, stream_budget(state), builder.batch_frames, sure=wanted)
+    if cost is None:
+        budget = stream_budget(state)
+        size = float(stream_bytes(packets)) if budget is None else budget
+        cost = ColorCost.of_slope(size, SHARE_PER_BYTE, fixed=budget is not None)
+    return choose_depth_video(state.scene, frames, packets, cost, builder.batch_frames, sure=wanted)

@@ -25,6 +25,7 @@ __all__ = [
     "MIN_STEP",
     "SHARE_PER_BYTE",
     "LeakyBucket",
+    "besides_surfaces",
     "best_cells",
     "bisect_step",
     "cell_factor",
@@ -82,9 +83,14 @@ def stream_bytes(packets: Sequence[Packet]) -> int:
     return FILE_HEAD_BYTES + bodies + PACKET_FRAMING_BYTES + INDEX_ENTRY_BYTES * len(packets)
 
 
+def besides_surfaces(frames: int) -> float:
+    """Return about how many bytes a file takes besides surfaces: each frame takes poses."""
+    return FRAME_BYTES * frames + HEAD_BYTES
+
+
 def surface_budget(frames: int, target_bytes: float) -> float:
-    """Return how many of the bytes of a file are left for surfaces: each frame takes poses."""
-    return max(target_bytes - FRAME_BYTES * frames - HEAD_BYTES, MIN_SURFACE_SHARE * target_bytes)
+    """Return how many of the bytes of a file are left for surfaces."""
+    return max(target_bytes - besides_surfaces(frames), MIN_SURFACE_SHARE * target_bytes)
 
 
 def cell_factor(surface_bytes: int, budget_bytes: float) -> float:
@@ -115,13 +121,15 @@ def live_cell_factor(cells: float, bytes_per_second: float) -> float:
     return float(np.clip(factor, MIN_LIVE_FACTOR, MAX_CELL_FACTOR))
 
 
-def best_cells(error_of: Callable[[float], float]) -> float:
+def best_cells(error_of: Callable[[float], float], *, max_widenings: int = 1) -> float:
     """Find by how much wider cells should be, first trying narrower ones, and if they are no better wider ones.
 
     Parameters
     ----------
     error_of
         Gives the error with cells wider by a factor.
+    max_widenings
+        How often wider ones are tried.
 
     Returns
     -------
@@ -133,8 +141,9 @@ def best_cells(error_of: Callable[[float], float]) -> float:
     while min(errors, key=errors.__getitem__) == max(errors) < MAX_NARROWINGS:
         power = max(errors) + 1
         errors[power] = error_of(NARROWER**power)
-    if errors[0] <= errors[1]:
-        errors[-1] = error_of(1 / NARROWER)
+    while min(errors, key=errors.__getitem__) == min(errors) > -max_widenings:
+        power = min(errors) - 1
+        errors[power] = error_of(NARROWER**power)
     best = min(errors, key=errors.__getitem__)
     wider, narrower = errors.get(best - 1, inf), errors.get(best + 1, inf)
     bend = wider + narrower - 2 * errors[best]
