@@ -118,15 +118,16 @@ def decode(
                 progress.advance(progress.frames + 1)
         except TruncatedStream as error:
             raise TruncatedStream(f"{error}; {progress.frames} frames were decoded into {folder}") from None
-        if stream.unread_codec is not None:
-            click.echo(f"{source}: {_unread(stream.unread_codec)}", err=True)
+        for shown, codec in stream.unread_codecs.items():
+            click.echo(f"{source}: {_unread(shown, codec)}", err=True)
         progress.summary(f"{folder}: {progress.frames} frames, {progress.frames_per_second:.1f} frames/s")
 
 
-def _unread(codec: int) -> str:
+def _unread(shown: str, codec: int) -> str:
     decoders = {VideoCodec.AV1: "dav1d", VideoCodec.FFV1: "FFV1"}
     remedy = f"install av with {decoders[VideoCodec(codec)]}" if codec in decoders else "use a newer 3dvc"
-    return f"cannot decode its color video (codec {codec}), so the pictures show the models' colors; {remedy}"
+    models = {"color": "colors"}.get(shown, shown)
+    return f"cannot decode its {shown} video (codec {codec}), so the pictures show the models' {models}; {remedy}"
 
 
 def _camera_path(path: Path) -> list[Pose]:

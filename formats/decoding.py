@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain, islice
@@ -142,9 +142,9 @@ class DecodedStream:
         return self.infos[self._sensor or 0]
 
     @property
-    def unread_codec(self) -> int | None:
-        """The number of the codec of a color video that was wanted and cannot be decoded here; else None."""
-        return self.decoder.unread_codec
+    def unread_codecs(self) -> Mapping[str, int]:
+        """Numbers of the codecs of videos that were wanted and cannot be decoded here, by what these show."""
+        return self.decoder.unread_codecs
 
     def __iter__(self) -> Iterator[DecodedFrame]:
         first, stop = self._frames

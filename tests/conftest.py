@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from threedvc.coding import picture, picture_sequence
+from threedvc.coding.video import still
+from threedvc.encoder.packetizer import depth_run
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -60,9 +61,9 @@ def sequence_dir(data_dir: Path) -> Callable[[str], Path]:
 def quick_av1() -> Iterator[None]:
     """Have pictures and videos coded with less effort, for tests of streams: a third of the time, hardly more bytes."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (picture, picture_sequence):
-            patch.setattr(module, "QUICK_SPEED", 6)
-            patch.setattr(module, "THOROUGH_SPEED", 6)
+        for module in (still, depth_run):
+            patch.setattr(module, "QUICK_PRESET", 8)
+            patch.setattr(module, "THOROUGH_PRESET", 8)
         yield
 
 

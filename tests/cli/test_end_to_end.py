@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from threedvc.cli.main import main
-from threedvc.coding.picture_sequence import can_encode_sequences
+from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.formats.sources import open_sequence
 
 
@@ -68,7 +68,7 @@ def test_a_stream_that_knows_no_objects(place: Path) -> None:
     assert (values["object_count"], values["spurious_objects"]) == (0, [])
 
 
-@pytest.mark.skipif(not can_encode_sequences(), reason="these builds of Pillow and OpenCV have no AVIF")
+@pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV has no AV1")
 def test_depth_is_shown_as_filmed_or_of_the_models(tmp_path: Path) -> None:
     stream = tmp_path / "a.3dvc"
     assert run("synth", tmp_path / "room", "--scene", "room", "--frames", "5", "--size", "64x48").exit_code == 0

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from helpers.earlier_pictures import RUNS, STILLS
 from threedvc.coding.color import ColorSettings
 from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths
@@ -19,6 +22,10 @@ from threedvc.coding.morton import morton_order
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief, encode_relief
 from threedvc.coding.update import decode_update, encode_update_with_result
+from threedvc.coding.video.av1 import Av1Settings, can_encode_av1, decode_av1, encode_av1
+from threedvc.coding.video.earlier import decode_earlier_run, decode_earlier_still
+from threedvc.coding.video.planes import VideoFormat, gray_planes
+from threedvc.coding.video.still import decode_still, encode_still
 from threedvc.errors import FormatError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import identity
@@ -26,6 +33,7 @@ from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
+needs_av1 = pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV has no AV1")
 NO_COLORS = np.empty((0, 3), dtype=np.int16)
 
 
@@ -204,3 +212,82 @@ def test_random_poses(payload: bytes, count: int) -> None:
         return
     assert poses.shape == (count, 4, 4)
     assert np.all(np.isfinite(poses))
+
+
+SEEN = VideoFormat(width=37, height=23, bits=10, gray=True)
+
+
+@cache
+def depth_video_payload() -> bytes:
+    """Return the payload of five depth pictures."""
+    y, x = np.mgrid[:23, :37]
+    pictures = (gray_planes((300 + 9 * x + 4 * y + 5 * k).astype(np.uint16), SEEN) for k in range(5))
+    return encode_av1(pictures, SEEN, Av1Settings(crf=25, preset=10, threads=1, depth=True))
+
+
+@cache
+def still_payload() -> bytes:
+    """Return the payload of a picture."""
+    y, x = np.mgrid[:23, :37]
+    return encode_still(np.stack([5 * x, 9 * y, 3 * (x + y)], axis=-1).astype(np.uint8), 30, False, thorough=False)[0]
+
+
+def film_lawfully(payload: bytes, count: int = 5) -> None:
+    """Decode a depth video as it is coded now and as it was before; either a FormatError is raised, or it is whole."""
+    for decoded in (
+        lambda: [planes.luma for planes in decode_av1(payload, count, SEEN)],
+        lambda: list(decode_earlier_run(payload, count, 37, 23)),
+    ):
+        try:
+            pictures = decoded()
+        except FormatError:
+            continue
+        assert [picture.shape for picture in pictures] == [(23, 37)] * count
+        assert max(picture.max() for picture in pictures) < 1 << SEEN.bits
+
+
+def picture_lawfully(payload: bytes) -> None:
+    """Decode a still as it is coded now and as it was before; either a FormatError is raised, or it is whole."""
+    for decoded in (
+        lambda: decode_still(payload, replace(SEEN, gray=False)),
+        lambda: decode_earlier_still(payload, 37, 23, False),
+        lambda: decode_earlier_still(payload, 33, 31, False),
+    ):
+        try:
+            picture = decoded()
+        except FormatError:
+            continue
+        assert picture.shape in {(23, 37, 3), (31, 33, 3)}
+
+
+@needs_av1
+@given(st.binary(max_size=120), st.integers(0, 6))
+def test_random_videos_and_stills(payload: bytes, count: int) -> None:
+    film_lawfully(payload, count)
+    picture_lawfully(payload)
+
+
+@needs_av1
+@given(places(depth_video_payload), places(lambda: RUNS["run"].payload), st.integers(1, 255))
+def test_changed_byte_of_a_depth_video(position: int, earlier: int, change: int) -> None:
+    for payload, place in ((depth_video_payload(), position), (RUNS["run"].payload, earlier)):
+        damaged = bytearray(payload)
+        damaged[place] ^= change
+        film_lawfully(bytes(damaged))
+        film_lawfully(bytes(damaged), 9)
+
+
+@needs_av1
+@given(places(still_payload), places(lambda: STILLS["color"].payload), st.integers(1, 255))
+def test_changed_byte_of_a_still(position: int, earlier: int, change: int) -> None:
+    for payload, place in ((still_payload(), position), (STILLS["color"].payload, earlier)):
+        damaged = bytearray(payload)
+        damaged[place] ^= change
+        picture_lawfully(bytes(damaged))
+
+
+@needs_av1
+@given(places(depth_video_payload), places(still_payload))
+def test_cut_videos_and_stills(video: int, still: int) -> None:
+    film_lawfully(depth_video_payload()[:video])
+    picture_lawfully(still_payload()[:still])

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Write the golden streams of this version, and what every golden stream decodes to.
 
-Run by ``make golden`` alone. Streams of earlier versions are never written again. What they decode to is, because the
+Run by ``make golden`` alone. Streams of earlier versions are never written again, nor those of 0.1.0-avif, whose
+pictures are AVIF as they were before this version was finished. What they decode to is, because the
 renderer may change on purpose; their models may not, and the digest inside each stream holds that.
 """
 
@@ -14,7 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import threedvc
-from threedvc.config import AppearanceConfig, ColorVideo, EncoderConfig, Motion, SegmentationConfig, SegmentationMode
+from threedvc.config import (
+    AppearanceConfig,
+    ColorVideo,
+    DepthVideo,
+    EncoderConfig,
+    Motion,
+    SegmentationConfig,
+    SegmentationMode,
+)
 from threedvc.formats.decoding import DecodedFrame
 from threedvc.synthesis import SyntheticSequence, make_scene
 
@@ -36,6 +45,17 @@ CASES: dict[str, tuple[str, EncoderConfig]] = {
     "paper_picture": (
         "paper",
         EncoderConfig(color_video=ColorVideo.OFF, motion=Motion.KNOWN, segmentation=THRESHOLD, batch_frames=4),
+    ),
+    "depth_video": (
+        "room",
+        EncoderConfig(
+            color_video=ColorVideo.OFF,
+            depth_video=DepthVideo.ON,
+            voxel_size_m=0.05,
+            motion=Motion.KNOWN,
+            refine=False,
+            batch_frames=4,
+        ),
     ),
     "room_live": ("room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04, causal=True, batch_frames=3)),
 }

@@ -197,7 +197,7 @@ class FakeStream:
 
     def __init__(self, source: Any, **choices: Any) -> None:
         self.choices = choices
-        self.infos, self.unread_codec = (INFO,), None
+        self.infos, self.unread_codecs = (INFO,), {}
         data = source if hasattr(source, "read") else io.BytesIO(Path(source).read_bytes())
         self._reader = StreamReader(data, str(source))
 

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from helpers.streams import ListSequence, drawn
-from threedvc.coding.picture import can_encode_pictures
+from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import (
     AppearanceConfig,
     ColorVideo,
@@ -53,7 +53,7 @@ FILE = EncoderConfig(
 )
 FAST = with_preset(FILE, Preset.FAST)
 PAPER = replace(FAST, segmentation=THRESHOLD)
-needs_avif = pytest.mark.skipif(not can_encode_pictures(), reason="this build of OpenCV has no AVIF")
+needs_av1 = pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV has no AV1")
 pytestmark = pytest.mark.usefixtures("quick_av1")
 
 
@@ -109,10 +109,10 @@ def test_exposure_is_sent_as_gains() -> None:
     assert sum(len(packet.payload) for packet in members(same, PacketType.GAIN)) < 10, "a steady exposure needs one"
 
 
-@needs_avif
+@needs_av1
 def test_a_background_at_rest_is_a_picture() -> None:
     sequence, packets = scene("paper"), stream("paper", PAPER)
-    assert len(members(packets, PacketType.BACKDROP)) == 1
+    assert len(members(packets, PacketType.BACKGROUND)) == 1
     pictures = drawn(packets)
     background = np.all([frame.mask == 0 for frame in sequence.frames if frame.mask is not None], axis=0)
     for got, frame in zip(pictures, sequence.frames, strict=True):
@@ -120,15 +120,15 @@ def test_a_background_at_rest_is_a_picture() -> None:
         assert 10 * np.log10(255**2 / error) > 28
 
 
-@needs_avif
+@needs_av1
 def test_a_rate_above_what_there_is_to_send_takes_the_finest_steps() -> None:
     sequence = scene("paper", 3)
     packets = encoded(sequence, replace(PAPER, bitrate_bps=4_000_000))
-    assert members(packets, PacketType.BACKDROP)
+    assert members(packets, PacketType.BACKGROUND)
     assert psnr(drawn(packets), sequence) > 20
 
 
-@needs_avif
+@needs_av1
 def test_a_background_at_rest_gets_its_cells_from_a_picture() -> None:
     sequence, packets = scene("paper"), stream("paper", PAPER)
     pictures = members(packets, PacketType.DEPTH)
@@ -153,7 +153,7 @@ def test_a_background_at_rest_gets_its_cells_from_a_picture() -> None:
 
 def test_a_moving_camera_has_no_backdrop() -> None:
     packets = stream("small room", FAST)
-    assert not members(packets, PacketType.BACKDROP)
+    assert not members(packets, PacketType.BACKGROUND)
     assert not members(packets, PacketType.DEPTH)
 
 

@@ -185,7 +185,7 @@ def test_what_cannot_be_decoded_is_said_and_models_are_drawn(
     )
     stream = threedvc.open_stream(newer)
     np.testing.assert_array_equal([frame.color for frame in stream], colors(path, MODELS))
-    assert stream.unread_codec == 3
+    assert stream.unread_codecs == {"color": 3}
     result = CliRunner().invoke(main, ["decode", str(newer), str(tmp_path / "out")])
     assert result.exit_code == 0
     assert "cannot decode its color video (codec 3)" in result.stderr

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -13,6 +14,8 @@ from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, 
 from threedvc.coding.morton import morton_order
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.update import decode_update, encode_update_with_result
+from threedvc.coding.video.av1 import Av1Settings, can_encode_av1, decode_av1, encode_av1
+from threedvc.coding.video.planes import VideoFormat, gray_planes
 from threedvc.geometry.pose import make_pose, rotation_from_vector
 from threedvc.model.model_update import ModelUpdate
 
@@ -130,3 +133,27 @@ def test_depths_pass_through(seed: int, size: tuple[int, int], spacing: int, lev
     np.testing.assert_array_equal(got.samples > 0, samples > 0)
     there = samples > 0
     assert np.all(np.abs(got.samples - samples)[there] <= step)
+
+
+@pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV has no AV1")
+@settings(max_examples=10)
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 12), st.sampled_from([8, 10]), st.integers(0, 2**32 - 1))
+def test_depth_video_round_trip(width: int, height: int, count: int, bits: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    last = (1 << bits) - 1
+    slope, start = rng.uniform(-3, 3, 3), rng.uniform(0.2, 0.8) * last
+    k, y, x = np.mgrid[:count, :height, :width]
+    wanted = np.clip(np.rint(start + slope[0] * x + slope[1] * y + slope[2] * k), 0, last).astype(np.uint16)
+    video = VideoFormat(width=width, height=height, bits=bits, gray=True)
+    run = [
+        encode_av1(
+            (gray_planes(each, video) for each in wanted),
+            video,
+            Av1Settings(crf=10, preset=10, threads=threads, depth=True),
+        )
+        for threads in (1, 2)
+    ]
+    assert run[0] == run[1]
+    got = np.stack([planes.luma for planes in decode_av1(run[0], count, video)])
+    assert got.shape == wanted.shape
+    assert np.abs(got.astype(int) - wanted).mean() < 4 << (bits - 8)

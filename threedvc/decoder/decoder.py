@@ -33,7 +33,7 @@ class Decoder:
     Parameters
     ----------
     captured_depth, captured_color
-        Whether depth and color as captured are wanted; they need AVIF, and AV1 or FFV1.
+        Whether depth and color as captured are wanted; they need AV1, or FFV1.
     threads
         On how many measured depth is decoded.
 
@@ -76,9 +76,9 @@ class Decoder:
         return 0 if self._state is None else self._state.frame_count
 
     @property
-    def unread_codec(self) -> int | None:
-        """The number of the codec of a color video that was wanted and cannot be decoded here; else None."""
-        return None if self._state is None else self._state.unread_codec
+    def unread_codecs(self) -> Mapping[str, int]:
+        """Numbers of the codecs of videos that were wanted and cannot be decoded here, by what these show."""
+        return {} if self._state is None else self._state.unread_codecs
 
     @property
     def report(self) -> StreamReport:

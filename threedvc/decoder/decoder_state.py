@@ -78,8 +78,8 @@ class DecoderState:
         Which sensor takes the next frames.
     frame_count, frame_set_count
         How many frames the stream has conveyed so far, and at how many moments these were taken.
-    unread_codec
-        Number of the codec of a color video that was wanted and cannot be decoded here, or None.
+    unread_codecs
+        Numbers of the codecs of videos that were wanted and cannot be decoded here, by what these show: color, depth.
     run_ends
         Number of the frame, or moment, after the last one that a run of packets has conveyed, by name of run.
     """
@@ -91,7 +91,7 @@ class DecoderState:
         self.schedule = SensorSchedule()
         self.frame_count = self.frame_set_count = 0
         self.run_ends: dict[str, int] = {}
-        self.unread_codec: int | None = None
+        self.unread_codecs: dict[str, int] = {}
         self._new_background_image: NDArray[np.uint8] | None = None
         self._backdrop: BackgroundImage | None = None
         self._filters: PostFilter | None = None

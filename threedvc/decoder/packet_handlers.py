@@ -11,31 +11,35 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Final, TypeAlias, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import decode_depths
 from threedvc.coding.filters import decode_filter
 from threedvc.coding.light import unpack_light
-from threedvc.coding.picture import decode_picture
-from threedvc.coding.picture_sequence import decode_sequence
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.coding.video.av1 import can_decode_av1, decode_av1
+from threedvc.coding.video.earlier import EARLIER_BITS, decode_earlier_run, decode_earlier_still
 from threedvc.coding.video.ffv1 import EXACT_BITS, can_decode_ffv1, decode_ffv1
-from threedvc.coding.video.planes import CapturedColor, ExactColor, ShownColor, VideoFormat
+from threedvc.coding.video.planes import CapturedColor, ExactColor, Samples, ShownColor, VideoFormat
+from threedvc.coding.video.still import decode_still
 from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
 from threedvc.decoder.decoder_state import DecoderState
 from threedvc.decoder.measured_depth import MeasuredRun
 from threedvc.decoder.sensor_state import SensorState
-from threedvc.errors import CorruptStream, LimitExceeded
+from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.geometry.pose import Pose
 from threedvc.limits import MAX_COLOR_VIDEO_SAMPLES, MAX_COUNT, MAX_SEQUENCE_SAMPLES
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
 from threedvc.stream.batch import Member
-from threedvc.stream.captured_headers import ColorVideoHeader, ResidualHeader, VideoHeader
+from threedvc.stream.captured_headers import ColorVideoHeader, DepthVideoHeader, ResidualHeader, VideoHeader
 from threedvc.stream.headers import (
     BackdropHeader,
+    BackgroundHeader,
     BatchHeader,
     ClockHeader,
     DepthHeader,
@@ -91,8 +95,9 @@ def _check_pose_count(members: Iterable[Member]) -> None:
 
 
 def _check_videos(members: Iterable[Member]) -> None:
-    for kind, most in ((VideoHeader, MAX_SEQUENCE_SAMPLES), (ColorVideoHeader, MAX_COLOR_VIDEO_SAMPLES)):
-        videos = (header for _, header in members if isinstance(header, kind))
+    depth, color = (VideoHeader, DepthVideoHeader), (ColorVideoHeader,)
+    for kinds, most in ((depth, MAX_SEQUENCE_SAMPLES), (color, MAX_COLOR_VIDEO_SAMPLES)):
+        videos = (header for _, header in members if isinstance(header, kinds))
         samples = sum(video.count * video.columns * video.rows for video in videos)
         if samples > most:
             raise LimitExceeded(f"a BATCH holds videos of {samples} samples, at most {most} are accepted")
@@ -203,17 +208,43 @@ def _clock(state: DecoderState, timeline: BatchTimeline, header: ClockHeader, pa
 
 
 def _captured_depth(
+    state: DecoderState, timeline: BatchTimeline, header: DepthVideoHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    sensor = state.sensor(header)
+    run = timeline.convey("DEPTH_VIDEO", header)
+    if not state.wanted.depth:
+        return
+    if header.codec != VideoCodec.AV1 or not can_decode_av1():
+        state.unread_codecs["depth"] = header.codec
+        return
+    video = VideoFormat(width=header.columns, height=header.rows, bits=header.bits, gray=True)
+    pictures = (planes.luma for planes in decode_av1(payload, header.count, video))
+    levels = depth_levels(header.nearest_m, header.ratio, header.bits)
+    for frame in run.frames:
+        yield frame, partial(_show_next_depth, sensor, pictures, levels, header.complete)
+
+
+def _earlier_captured_depth(
     state: DecoderState, timeline: BatchTimeline, header: VideoHeader, payload: bytes
 ) -> Iterator[FrameChange]:
     sensor = state.sensor(header)
     run = timeline.convey("VIDEO", header)
     if not state.wanted.depth:
         return
-    pictures = decode_sequence(payload, header.count, header.columns, header.rows)
-    levels = depth_levels(header.nearest_m, header.ratio)
-    for frame, samples in zip(run.frames, pictures, strict=True):
-        depth = CapturedDepth(samples=samples, levels=levels, complete=header.complete)
-        yield frame, partial(sensor.set_captured_depth, depth)
+    if not can_decode_av1():
+        state.unread_codecs["depth"] = VideoCodec.AV1
+        return
+    pictures = decode_earlier_run(payload, header.count, header.columns, header.rows)
+    levels = depth_levels(header.nearest_m, header.ratio, EARLIER_BITS)
+    for frame in run.frames:
+        yield frame, partial(_show_next_depth, sensor, pictures, levels, header.complete)
+
+
+def _show_next_depth(
+    sensor: SensorState, pictures: Iterator[Samples], levels: NDArray[np.float64], complete: bool
+) -> None:
+    """Decode the next picture of a run; all of them at once might not fit into memory."""
+    sensor.set_captured_depth(CapturedDepth(samples=next(pictures), levels=levels, complete=complete))
 
 
 def _captured_color(
@@ -225,7 +256,7 @@ def _captured_color(
         return
     pictures = _color_pictures(sensor, header, payload)
     if pictures is None:
-        state.unread_codec = header.codec
+        state.unread_codecs["color"] = header.codec
         return
     for frame in run.frames:
         yield frame, partial(_show_next, sensor, pictures)
@@ -276,7 +307,29 @@ def _backdrop(
 
 def _apply_backdrop(state: DecoderState, payload: bytes) -> None:
     camera = state.sensors[0].rig.color
-    state.set_backdrop(decode_picture(payload, camera.width, camera.height, state.header.gray))
+    state.set_backdrop(decode_earlier_still(payload, camera.width, camera.height, state.header.gray))
+
+
+def _background(
+    state: DecoderState, timeline: BatchTimeline, header: BackgroundHeader, payload: bytes
+) -> Iterator[FrameChange]:
+    if header.codec != VideoCodec.AV1:
+        raise UnsupportedVersion(
+            f"the picture of the background is coded by codec {header.codec}, unknown to this version; use a newer 3dvc"
+        )
+    yield header.frame, partial(_apply_background, state, header, payload)
+
+
+def _apply_background(state: DecoderState, header: BackgroundHeader, payload: bytes) -> None:
+    camera = state.sensors[0].rig.color
+    video = VideoFormat(
+        width=camera.width,
+        height=camera.height,
+        bits=header.bits,
+        magnified=header.magnified,
+        gray=state.header.gray,
+    )
+    state.set_backdrop(decode_still(payload, video))
 
 
 def _filters(
@@ -318,10 +371,12 @@ HANDLERS: Final[dict[type[Header], Handler]] = dict(
         _entry(ShiftHeader, _shifts),
         _entry(GainHeader, _gains),
         _entry(ClockHeader, _clock),
-        _entry(VideoHeader, _captured_depth),
+        _entry(VideoHeader, _earlier_captured_depth),
+        _entry(DepthVideoHeader, _captured_depth),
         _entry(ColorVideoHeader, _captured_color),
         _entry(ResidualHeader, _measured_depth),
         _entry(BackdropHeader, _backdrop),
+        _entry(BackgroundHeader, _background),
         _entry(FilterHeader, _filters),
         _entry(LightHeader, _light),
         _entry(OrderHeader, _order),

@@ -15,18 +15,16 @@ from numpy.typing import NDArray
 from threedvc.kernels.render.depth_video import magnify
 from threedvc.parallel import for_ranges
 
-__all__ = ["LEVELS", "CapturedDepth", "depth_levels"]
+__all__ = ["EDGE", "CapturedDepth", "depth_levels"]
 
-LEVELS = 256
-"""Values of a sample of 8 bits, as coders of video have them."""
 EDGE = 1.1
 """Samples that differ by more than this factor lie on different surfaces. Every reader must use it
 (docs/drawing.md)."""
 
 
-def depth_levels(nearest_m: float, ratio: float) -> NDArray[np.float64]:
-    """Return the depths (256,) in meters of sample values, each `ratio` times the one before."""
-    return np.multiply.accumulate(np.concatenate([[nearest_m], np.full(LEVELS - 1, ratio)]))
+def depth_levels(nearest_m: float, ratio: float, bits: int) -> NDArray[np.float64]:
+    """Return the depths (2^bits,) in meters of sample values, each `ratio` times the one before."""
+    return np.multiply.accumulate(np.concatenate([[nearest_m], np.full((1 << bits) - 1, ratio)]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,14 +34,14 @@ class CapturedDepth:
     Attributes
     ----------
     samples
-        (rows, columns) uint8, which cover the picture of the depth camera.
+        (rows, columns) uint16, which cover the picture of the depth camera.
     levels
-        (256,) float64 meters: what their values mean.
+        (n,) float64 meters: what their values mean.
     complete
         Whether something is everywhere, also where nothing is drawn.
     """
 
-    samples: NDArray[np.uint8]
+    samples: NDArray[np.uint16]
     levels: NDArray[np.float64]
     complete: bool
 

@@ -11,22 +11,12 @@ from threedvc.stream.header_fields import flag, integer, key, number
 from threedvc.stream.headers import SensorRunHeader
 from threedvc.stream.packets import PacketType
 
-__all__ = ["ColorVideoHeader", "ResidualHeader", "VideoHeader"]
+__all__ = ["ColorVideoHeader", "DepthVideoHeader", "ResidualHeader", "VideoHeader"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoHeader(SensorRunHeader):
-    """Depth as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
-
-    Attributes
-    ----------
-    columns, rows
-        Size of its pictures, which cover those of the depth camera.
-    nearest_m, ratio
-        Depth that the value 0 means, and of each value to the one before.
-    complete
-        Whether something is everywhere, also where nothing is drawn.
-    """
+    """What a `DepthVideoHeader` tells, of the eight bits that earlier writers coded depth in."""
 
     packet_type: ClassVar[PacketType] = PacketType.VIDEO
 
@@ -60,6 +50,35 @@ class ColorVideoHeader(SensorRunHeader):
     codec: int = key("c", integer(1, 255), default=1)
     bits: int = key("b", integer(8, 16), default=10)
     magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthVideoHeader(SensorRunHeader):
+    """Depth as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
+    columns, rows
+        Size of its pictures, which cover those of the depth camera.
+    codec
+        What its pictures are coded by, see `VideoCodec`.
+    bits
+        Of a sample.
+    nearest_m, ratio
+        Depth that the value 0 means, and of each value to the one before.
+    complete
+        Whether something is everywhere, also where nothing is drawn.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.DEPTH_VIDEO
+
+    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
+    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
+    codec: int = key("c", integer(1, 255), default=1)
+    bits: int = key("b", integer(8, 16), default=10)
+    nearest_m: float = key("z", number(1e-6, 1e6))
+    ratio: float = key("r", number(1, 1.05))
+    complete: bool = key("a", flag(), default=False)
 
 
 @dataclass(frozen=True, kw_only=True)

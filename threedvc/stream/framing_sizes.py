@@ -11,6 +11,7 @@ from typing import Final
 
 __all__ = [
     "COLOR_VIDEO_FRAMING_BYTES",
+    "DEPTH_VIDEO_FRAMING_BYTES",
     "FILE_HEAD_BYTES",
     "INDEX_ENTRY_BYTES",
     "MAX_BATCH_FRAMING_BYTES",
@@ -18,7 +19,6 @@ __all__ = [
     "MAX_INDEX_ENTRY_BYTES",
     "MAX_MEMBER_FRAMING_BYTES",
     "PACKET_FRAMING_BYTES",
-    "VIDEO_FRAMING_BYTES",
 ]
 
 FILE_HEAD_BYTES: Final = 12
@@ -37,7 +37,7 @@ MAX_MEMBER_FRAMING_BYTES: Final = 20
 MAX_END_BYTES: Final = 112
 """END with number of frames and digest (28 bytes), a pointer (8), and the INDEX (1): 93 with the frames of two packets,
 and some to spare."""
-VIDEO_FRAMING_BYTES: Final = 40
-"""A usual VIDEO in a BATCH: a header of some 36 bytes tells its frames, its size and two depths; measured: 41."""
+DEPTH_VIDEO_FRAMING_BYTES: Final = 40
+"""A usual DEPTH_VIDEO in a BATCH: a header of some 36 bytes tells its frames, its size and two depths; measured: 41."""
 COLOR_VIDEO_FRAMING_BYTES: Final = 24
 """A usual COLOR_VIDEO in a BATCH: a header of some 18 bytes tells its frames and size; types and lengths take 6."""

@@ -6,9 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from threedvc.stream.captured_headers import ColorVideoHeader, ResidualHeader, VideoHeader
+from threedvc.stream.captured_headers import ColorVideoHeader, DepthVideoHeader, ResidualHeader, VideoHeader
 from threedvc.stream.headers import (
     BackdropHeader,
+    BackgroundHeader,
     BatchHeader,
     ClockHeader,
     DepthHeader,
@@ -47,11 +48,13 @@ HEADER_TYPES: Final[Mapping[int, type[Header]]] = {
         GainHeader,
         ClockHeader,
         BackdropHeader,
+        BackgroundHeader,
         DepthHeader,
         FilterHeader,
         LightHeader,
         VideoHeader,
         ColorVideoHeader,
+        DepthVideoHeader,
         ResidualHeader,
         SnapshotHeader,
         BatchHeader,

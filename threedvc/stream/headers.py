@@ -10,6 +10,7 @@ from threedvc.errors import CorruptStream, UnsupportedVersion
 from threedvc.limits import (
     MAX_COUNT,
     MAX_FRAME,
+    MAX_MAGNIFICATION,
     MAX_OBJECT_ID,
     MAX_RELIEF_BITS,
     MAX_SENSORS,
@@ -23,6 +24,7 @@ __all__ = [
     "FEATURES",
     "READER_VERSION",
     "BackdropHeader",
+    "BackgroundHeader",
     "BatchHeader",
     "ClockHeader",
     "DepthHeader",
@@ -293,11 +295,33 @@ class ShiftHeader(SensorRunHeader):
 
 @dataclass(frozen=True, kw_only=True)
 class BackdropHeader(Header):
-    """A picture that colors the background, as the color camera of `frame` sees it, from that frame on."""
+    """A picture as a `BackgroundHeader` tells of, as earlier writers coded it."""
 
     packet_type: ClassVar[PacketType] = PacketType.BACKDROP
 
     frame: int = key("f", integer(0, MAX_FRAME))
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundHeader(Header):
+    """A picture that colors the background, as the color camera of `frame` sees it, from that frame on.
+
+    Attributes
+    ----------
+    codec
+        What it is coded by, see `VideoCodec`.
+    bits
+        Of a sample.
+    magnified
+        Chroma is 1 + magnified/4 times as large as it is by its formula.
+    """
+
+    packet_type: ClassVar[PacketType] = PacketType.BACKGROUND
+
+    frame: int = key("f", integer(0, MAX_FRAME))
+    codec: int = key("c", integer(1, 255), default=1)
+    bits: int = key("b", integer(8, 16), default=10)
+    magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
 
 
 @dataclass(frozen=True, kw_only=True)

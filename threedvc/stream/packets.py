@@ -53,10 +53,12 @@ class PacketType(IntEnum):
     ORDER = 22
     VIDEO = 23
     COLOR_VIDEO = 24
+    DEPTH_VIDEO = 25
+    BACKGROUND = 26
 
 
 class VideoCodec(IntEnum):
-    """What pictures of a COLOR_VIDEO are coded by."""
+    """What the pictures of a COLOR_VIDEO, a DEPTH_VIDEO or a BACKGROUND are coded by; FFV1 is for the first alone."""
 
     AV1 = 1
     FFV1 = 2

@@ -8,13 +8,20 @@ bitstream specification.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from threedvc.errors import CorruptStream
 from threedvc.stream.wire import ByteReader, pack_varint
 
-__all__ = ["SequenceFormat", "pack_units", "read_sequence_header", "unpack_units"]
+__all__ = [
+    "SequenceFormat",
+    "pack_units",
+    "read_sequence_header",
+    "read_still_header",
+    "still_header_of",
+    "unpack_units",
+]
 
 SEQUENCE_HEADER, TEMPORAL_DELIMITER, FRAME, FRAME_HEADER = 0x0A, 0x12, 0x32, 0x1A
 """First bytes of units: the kind, and that the size follows (sec. 5.3.2)."""
@@ -22,6 +29,8 @@ SHOWS_EARLIER, SHOWN = 0x80, 0x10
 """Bits of a frame's first byte. What only shows an earlier frame is a frame header without a frame (sec. 5.9.2)."""
 PLAIN_BITS = 24
 """Of a sequence header: profile, still picture, timing, delays and operating points, all 0 in what is written here."""
+STILL_BITS, STILL = 5, 0b00011
+"""Of a sequence header of one picture in its short form: profile 0, a still picture, and that the form is short."""
 MAX_UNTIERED_LEVEL = 7
 """Levels above are followed by a bit for the tier."""
 SELECTED = 2
@@ -130,6 +139,26 @@ def _unit(kind: int, body: bytes) -> bytes:
     return bytes([kind]) + pack_varint(len(body)) + body
 
 
+def still_header_of(data: bytes) -> bytes:
+    """Return the body of the one sequence header among whole units of AV1 data with their sizes.
+
+    Raises
+    ------
+    CorruptStream
+        If units are cut short, or there is another number of headers.
+    """
+    reader = ByteReader(data)
+    headers = []
+    while reader.remaining:
+        kind = reader.take(1)[0]
+        body = reader.take(reader.varint())
+        if kind == SEQUENCE_HEADER:
+            headers.append(body)
+    if len(headers) != 1:
+        raise CorruptStream(f"a picture has {len(headers)} sequence headers instead of one; the stream is damaged")
+    return headers[0]
+
+
 def read_sequence_header(body: bytes) -> SequenceFormat:
     """Return what a sequence header tells of the pictures (sec. 5.5).
 
@@ -143,9 +172,29 @@ def read_sequence_header(body: bytes) -> SequenceFormat:
         raise CorruptStream("a video is of an unknown make; the stream is damaged")
     if bits.take(5) > MAX_UNTIERED_LEVEL:
         bits.take(1)
+    return _read_format(bits, _pass_tools)
+
+
+def read_still_header(body: bytes) -> SequenceFormat:
+    """Return what the short sequence header of a single picture tells of it (sec. 5.5).
+
+    Raises
+    ------
+    CorruptStream
+        If it is cut short, or not of that kind and profile 0.
+    """
+    bits = _Bits(body)
+    if bits.take(STILL_BITS) != STILL:
+        raise CorruptStream("a picture is of an unknown make; the stream is damaged")
+    bits.take(5)  # level
+    return _read_format(bits, _pass_still_tools)
+
+
+def _read_format(bits: _Bits, pass_tools: Callable[[_Bits], None]) -> SequenceFormat:
+    """Return the format from the sides on, which stand in every kind of sequence header."""
     across, down = bits.take(4) + 1, bits.take(4) + 1
     width, height = bits.take(across) + 1, bits.take(down) + 1
-    _pass_tools(bits)
+    pass_tools(bits)
     high, gray = bits.take(1), bits.take(1)
     if bits.take(1):  # primaries, transfer and matrix, which mean nothing here
         bits.take(24)
@@ -153,6 +202,11 @@ def read_sequence_header(body: bytes) -> SequenceFormat:
     if not gray:
         bits.take(3)  # place of chroma, separate steps
     return SequenceFormat(width, height, 10 if high else 8, bool(gray), bool(bits.take(1)))
+
+
+def _pass_still_tools(bits: _Bits) -> None:
+    """Pass over what a short sequence header says of tools."""
+    bits.take(6)  # superblocks, filters; super-resolution, CDEF, restoration
 
 
 def _pass_tools(bits: _Bits) -> None:

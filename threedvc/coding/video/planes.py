@@ -27,6 +27,8 @@ __all__ = [
     "Samples",
     "ShownColor",
     "VideoFormat",
+    "flat_chroma",
+    "gray_planes",
     "picture_of",
     "planes_of",
     "spare_magnification",
@@ -128,13 +130,23 @@ def spare_magnification(picture: Picture) -> int:
     return next(m for m in range(MAX_MAGNIFIED, -1, -1) if m == 0 or largest * (4 + m) <= 4 * 4 * 127)
 
 
+def flat_chroma(video: VideoFormat) -> Samples:
+    """Return a plane of chroma that means gray everywhere."""
+    return np.full(video.chroma_shape, 1 << (video.bits - 1), dtype=np.uint16)
+
+
+def gray_planes(luma: Samples, video: VideoFormat) -> Planes:
+    """Return the planes of a picture without color."""
+    flat = flat_chroma(video)
+    return Planes(luma, flat, flat)
+
+
 def planes_of(picture: Picture, video: VideoFormat) -> Planes:
     """Return the samples of a picture, which may be larger than the video: each is the mean of what it covers."""
     red, green, blue = np.moveaxis(picture.astype(np.float32), -1, 0)
     luma = _shrunk((red + 2 * green + blue) / 4, video.height, video.width)
     if video.gray:
-        flat = np.full(video.chroma_shape, 1 << (video.bits - 1), dtype=np.uint16)
-        return Planes(_sampled(luma, video.bits), flat, flat)
+        return gray_planes(_sampled(luma, video.bits), video)
     larger, middle = np.float32(1 + video.magnified / 4), np.float32(128)
     whole = (_shrunk(each, video.height, video.width) for each in ((red - blue) / 2, (2 * green - red - blue) / 4))
     orange, green = (_sampled(larger * _halved(plane) + middle, video.bits) for plane in whole)
@@ -167,8 +179,7 @@ def picture_of(planes: Planes, video: VideoFormat, width: int, height: int, thre
     luma = _stretched(planes.luma, across, threads)
     picture = np.empty((height, width, 3), dtype=np.uint8)
     if video.gray:
-        flat = np.full(planes.orange.shape, 1 << (video.bits - 1), dtype=np.uint16)
-        planes = Planes(planes.luma, flat, flat)
+        planes = gray_planes(planes.luma, video)
     orange, green = (_stretched(plane, across_chroma, threads) for plane in (planes.orange, planes.green))
 
     def row_range(start: int, stop: int) -> None:

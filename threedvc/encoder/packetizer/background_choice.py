@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.picture import can_encode_pictures
+from threedvc.coding.video.av1 import can_encode_av1
+from threedvc.coding.video.still import CodedStill
 from threedvc.config import EncoderConfig, RenderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
 from threedvc.encoder.appearance.background.background_depth import CodedDepthMap
@@ -35,7 +36,7 @@ class BackgroundChoice(NamedTuple):
         The depth map that its cells are made of; None: they are sent.
     """
 
-    image: bytes | None = None
+    image: CodedStill | None = None
     depth_map: CodedDepthMap | None = None
 
 
@@ -64,13 +65,13 @@ def choose_background(
     """
     if fitted is None:
         return COLORED_CELLS
-    if fitted.backdrop is None or not can_encode_pictures():
+    if fitted.backdrop is None or not can_encode_av1():
         return BackgroundChoice(depth_map=fitted.depths if fitted.colorless else None)
     price = 8 * luma_step**2 * np.log(2) / 6 * fitted.pixels_per_cell / object_weight(config.focus, 0)
-    payload, image_cost = fitted.backdrop.best(price)
+    image, image_cost = fitted.backdrop.best(price)
     size, picture = _drawn_cells(scene, config, fitted)
     cells_cost = fitted.backdrop.error(picture) + price * (size - _colorless_size(scene, config, fitted))
-    return BackgroundChoice(payload, fitted.depths) if image_cost < cells_cost else COLORED_CELLS
+    return BackgroundChoice(image, fitted.depths) if image_cost < cells_cost else COLORED_CELLS
 
 
 def _drawn_cells(scene: Scene, config: EncoderConfig, fitted: FittedAppearance) -> tuple[int, NDArray[np.uint8]]:

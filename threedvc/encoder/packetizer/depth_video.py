@@ -14,9 +14,16 @@ from math import ceil, inf
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.picture_sequence import can_encode_sequences, decode_sequence
+from threedvc.coding.video.av1 import can_encode_av1, decode_av1
+from threedvc.coding.video.planes import VideoFormat
 from threedvc.decoder.replay import replay
-from threedvc.encoder.packetizer.depth_run import DepthMaps, EncodedDepthRun, PictureFormat, encode_depth_run
+from threedvc.encoder.packetizer.depth_run import (
+    DEPTH_BITS,
+    DepthMaps,
+    EncodedDepthRun,
+    PictureFormat,
+    encode_depth_run,
+)
 from threedvc.encoder.packetizer.frame_runs import runs_of
 from threedvc.encoder.rate.objective import ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
@@ -24,15 +31,15 @@ from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
 from threedvc.metrics.depth_errors import shown_depth_error
 from threedvc.render.captured_depth import CapturedDepth, depth_levels
-from threedvc.stream.captured_headers import VideoHeader
-from threedvc.stream.framing_sizes import VIDEO_FRAMING_BYTES
+from threedvc.stream.captured_headers import DepthVideoHeader
+from threedvc.stream.framing_sizes import DEPTH_VIDEO_FRAMING_BYTES
 from threedvc.stream.packets import Packet
 
 __all__ = ["choose_depth_video"]
 
 SCALES = (0.25, 0.375, 0.5)
 """Sizes that are tried, in sides of the depth map, the least first: it usually tells that none is worth it."""
-MIDDLE_QUALITY, OTHER_QUALITIES = 65, (50, 80)
+MIDDLE_CRF, OTHER_CRFS = 22, (30, 15)
 """Sizes are tried with a middling quality of AV1, then the best size with a coarser and a finer one."""
 TRIAL_FRAMES, TRIAL_PICTURES = 60, 8
 """Frames in a row that are tried, two seconds at 30 frames/s, and how many of them are drawn, which takes longest."""
@@ -108,7 +115,7 @@ def choose_depth_video(
     *,
     sure: bool,
 ) -> list[Packet]:
-    """Return VIDEO packets of the frames of those sensors whose depth is worth it; frames without depth have none.
+    """Return DEPTH_VIDEO packets of those sensors whose depth is worth it; frames without depth have no picture.
 
     Parameters
     ----------
@@ -125,7 +132,7 @@ def choose_depth_video(
     sure
         Whether a video is wanted wherever the target leaves room for it.
     """
-    if not can_encode_sequences():
+    if not can_encode_av1():
         return []
     videos: list[Packet] = []
     for sensor in range(len(scene.info.rigs)):
@@ -182,25 +189,25 @@ class DepthVideoTrial:
         if max(gains.values()) < HOPELESS_GAIN and not sure:
             return None
         middle = max(gains, key=lambda each: gains[each])
-        for quality in OTHER_QUALITIES:
-            choice = middle._replace(quality=quality)
+        for crf in OTHER_CRFS:
+            choice = middle._replace(crf=crf)
             gains[choice] = self._gain(choice)
         most = max(gains.values())
         if most == -inf or not (sure or most > MIN_GAIN):
             return None
         alike = [choice for choice in gains if gains[choice] >= most - ALIKE]
-        return max(alike, key=lambda each: (each.columns * each.rows, each.quality))
+        return max(alike, key=lambda each: (each.columns * each.rows, -each.crf))
 
     def _format(self, scale: float) -> PictureFormat:
         height, width = self._measured[0].shape
         scale = min(scale, self._max_scale)
         rows, columns = (min(max(int(scale * side), MIN_SIDE), side) for side in (height, width))
-        return PictureFormat(columns, rows, MIDDLE_QUALITY)
+        return PictureFormat(columns, rows, MIDDLE_CRF)
 
     def _gain(self, choice: PictureFormat) -> float:
         """Return what a video gains: what it takes off the misfit less the price of its bytes."""
-        run = encode_depth_run(self._measured, self._measured, choice, thorough=False)
-        video_bytes = (len(run.payload) + VIDEO_FRAMING_BYTES) / self._share
+        run = encode_depth_run(self._measured, self._measured, choice, thorough=False, threads=self._threads)
+        video_bytes = (len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES) / self._share
         budget = self._cost.budget_bytes
         if budget is not None and video_bytes > MAX_RATE_SHARE * budget:
             return -inf
@@ -210,13 +217,14 @@ class DepthVideoTrial:
 
     def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
         """Return what a decoder shows by a run instead of the depth drawn of some frames, by their place in it."""
-        pictures = decode_sequence(run.payload, len(self._measured), choice.columns, choice.rows)
-        levels = depth_levels(run.nearest_m, run.ratio)
+        video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
+        levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS)
         return {
-            place: CapturedDepth(samples=pictures[place], levels=levels, complete=run.complete).shown(
-                drawn, self._threads
+            place: CapturedDepth(samples=planes.luma, levels=levels, complete=run.complete).shown(
+                self._drawn[place], self._threads
             )
-            for place, drawn in self._drawn.items()
+            for place, planes in enumerate(decode_av1(run.payload, len(self._measured), video))
+            if place in self._drawn
         }
 
     def _misfit_with(self, shown: Mapping[int, NDArray[np.float32]]) -> float:
@@ -237,13 +245,16 @@ class DepthVideoWriter:
         """Yield a packet for each run of frames with depth in a BATCH."""
         for numbers in self._own.runs():
             measured = [self._own.measured(number) for number in numbers]
-            run = encode_depth_run(measured, self._filled(measured), choice, thorough=True)
-            header = VideoHeader(
+            run = encode_depth_run(
+                measured, self._filled(measured), choice, thorough=True, threads=self._own.scene.config.threads
+            )
+            header = DepthVideoHeader(
                 frame=numbers[0],
                 count=len(numbers),
                 sensor=self._own.sensor,
                 columns=choice.columns,
                 rows=choice.rows,
+                bits=DEPTH_BITS,
                 nearest_m=run.nearest_m,
                 ratio=run.ratio,
                 complete=run.complete,

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from threedvc.coding.filters import encode_filter
+from threedvc.coding.video.still import STILL_BITS
 from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
 from threedvc.encoder.packetizer.background_choice import COLORED_CELLS, BackgroundChoice
@@ -27,7 +28,7 @@ from threedvc.geometry.pose import Pose, identity
 from threedvc.limits import MAX_COUNT
 from threedvc.model.post_filter import PostFilter
 from threedvc.stream.batch import pack_batch
-from threedvc.stream.headers import BackdropHeader, BatchHeader, EndHeader, FilterHeader
+from threedvc.stream.headers import BackgroundHeader, BatchHeader, EndHeader, FilterHeader
 from threedvc.stream.notes.frame_report import FrameReport, report_packet
 from threedvc.stream.packets import Packet
 
@@ -168,7 +169,9 @@ class Packetizer:
     def _picture_members(self, batch: BatchFrames) -> Iterator[Packet]:
         """Yield what belongs to pictures: the background's image and the filter with the first frame, videos, times."""
         if not batch.first and self._background.image is not None:
-            yield BackdropHeader(frame=batch.first).packet(self._background.image)
+            image = self._background.image
+            header = BackgroundHeader(frame=batch.first, bits=STILL_BITS, magnified=image.magnified)
+            yield header.packet(image.payload)
         if not batch.first and self._filters is not None:
             payload = encode_filter(self._filters, self._scene.info.gray)
             yield FilterHeader(frame=batch.first).packet(payload, critical=False)

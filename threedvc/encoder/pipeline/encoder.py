@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sized
 from typing import cast
 
-from threedvc.coding.picture_sequence import can_encode_sequences
 from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.config import ColorVideo, DepthErrorKind, DepthVideo, EncoderConfig
@@ -90,10 +89,10 @@ class Encoder:
         """
         reporter = FrameReporter(on_frame)
         again = isinstance(frames, Sized) and hasattr(frames, "__getitem__")
-        if self.config.depth_video is DepthVideo.ON and not (again and can_encode_sequences()):
+        if self.config.depth_video is DepthVideo.ON and not (again and can_encode_av1()):
             raise ConfigError(
-                "a depth video needs frames that can be read again, and builds of Pillow and OpenCV with AVIF; install "
-                "pillow 11.3 and opencv-python-headless 5 or newer, or leave out --depth-video on"
+                "a depth video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "
+                "newer with libsvtav1, or leave out --depth-video on"
             )
         if self.config.depth_error.kind is not DepthErrorKind.MODEL:
             if self.config.bitrate_bps is not None:

@@ -14,9 +14,6 @@ from threedvc.kernels import kernel
 
 __all__ = ["magnify"]
 
-MAX_SAMPLE = 255
-"""Greatest value of a sample of eight bits."""
-
 
 @kernel
 def cubic_weights(f: float, weights: NDArray[np.float64]) -> None:
@@ -29,16 +26,17 @@ def cubic_weights(f: float, weights: NDArray[np.float64]) -> None:
 
 @kernel
 def magnify(
-    start: int, stop: int, samples: NDArray[np.uint8], levels: NDArray[np.float64], edge: float, complete: bool,
+    start: int, stop: int, samples: NDArray[np.uint16], levels: NDArray[np.float64], edge: float, complete: bool,
     drawn: NDArray[np.float32], shown: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Set rows ``start:stop`` of `shown` (h, w) to the depths of samples (rows, columns) that cover the picture.
 
-    `levels` (256,) are the depths of sample values in meters, ascending. Where the four samples about a pixel differ
+    `levels` (n,) are the depths of sample values in meters, ascending. Where the four samples about a pixel differ
     by a factor of more than `edge` two surfaces meet: there `drawn` (h, w), if it is between, tells which of them it
     is. Where nothing is drawn nothing is shown, unless the video is `complete`.
     """
     rows, columns = samples.shape
+    last = len(levels) - 1
     height, width = drawn.shape
     down, across = np.empty(4), np.empty(4)
     for y in range(start, stop):
@@ -53,7 +51,7 @@ def magnify(
             u = (x + 0.5) * columns / width - 0.5
             j = np.int64(np.floor(u))
             cubic_weights(u - j, across)
-            total, least, greatest = 0.0, MAX_SAMPLE, 0
+            total, least, greatest = 0.0, last, 0
             for a in range(4):
                 row = min(max(i - 1 + a, 0), rows - 1)
                 along = 0.0
@@ -66,6 +64,6 @@ def magnify(
             if levels[greatest] > edge * levels[least] and levels[least] <= there <= levels[greatest]:
                 shown[y, x] = there
                 continue
-            total = min(max(total, 0.0), float(MAX_SAMPLE))
-            k = min(np.int64(np.floor(total)), MAX_SAMPLE - 1)
+            total = min(max(total, 0.0), float(last))
+            k = min(np.int64(np.floor(total)), last - 1)
             shown[y, x] = levels[k] + (total - k) * (levels[k + 1] - levels[k])

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.arrays import Doubles, Floats, Mask
-from threedvc.coding.picture import decode_picture, encode_picture
+from threedvc.coding.video.planes import VideoFormat
+from threedvc.coding.video.still import STILL_BITS, CodedStill, decode_still, encode_still
 from threedvc.config import RenderConfig
 from threedvc.encoder.appearance.background.robust_mean import Observations, robust_mean
 from threedvc.encoder.appearance.color_field import ColorField
@@ -29,8 +30,8 @@ OUTLIER_LEVELS = 24.0
 """Something that passes is further from the mean than this; the noise and the shades of a color are nearer."""
 MIN_WEIGHT = 1e-9
 """Of a pixel that some frame shows; only saves from dividing by zero."""
-MIN_QUALITY, MAX_QUALITY = 4, 96
-"""Of AVIF, from 0 to 100; beyond them a picture is no longer one, or takes bytes for what cannot be seen."""
+MIN_CRF, MAX_CRF = 4, 68
+"""Quantization of AV1 from 1 to 70; beyond these a picture takes bytes for what cannot be seen, or is no longer one."""
 
 
 class BackgroundImageCandidates:
@@ -46,35 +47,36 @@ class BackgroundImageCandidates:
 
     def __init__(self, picture: NDArray[np.uint8], gray: bool) -> None:
         self.picture, self._gray = picture, gray
-        self._made: dict[tuple[int, bool], tuple[bytes, float]] = {}
+        self._made: dict[tuple[int, bool], tuple[CodedStill, float]] = {}
 
     def error(self, shown: NDArray[np.uint8]) -> float:
         """Return the sum over all pixels of the squared error (mean of the channels) of a picture like this one."""
         return float(((shown.astype(np.float64) - self.picture) ** 2).mean(axis=2).sum())
 
-    def best(self, price: float) -> tuple[bytes, float]:
-        """Return the payload whose squared error plus `price` for every byte is about least, and that sum."""
-        low, high = MIN_QUALITY, MAX_QUALITY
+    def best(self, price: float) -> tuple[CodedStill, float]:
+        """Return the coded picture whose squared error plus `price` for every byte is about least, and that sum."""
+        low, high = MIN_CRF, MAX_CRF
         while high - low > 2:
             third = (high - low) // 3
             if self._cost(low + third, price) <= self._cost(high - third, price):
                 high -= third
             else:
                 low += third
-        quality = min(range(low, high + 1), key=lambda each: self._cost(each, price))
-        payload, error = self._coded(quality, thorough=True)
-        return payload, error + price * len(payload)
+        crf = min(range(low, high + 1), key=lambda each: self._cost(each, price))
+        still, error = self._coded(crf, thorough=True)
+        return still, error + price * len(still.payload)
 
-    def _cost(self, quality: int, price: float) -> float:
-        payload, error = self._coded(quality, thorough=False)
-        return error + price * len(payload)
+    def _cost(self, crf: int, price: float) -> float:
+        still, error = self._coded(crf, thorough=False)
+        return error + price * len(still.payload)
 
-    def _coded(self, quality: int, *, thorough: bool) -> tuple[bytes, float]:
-        key = quality, thorough
+    def _coded(self, crf: int, *, thorough: bool) -> tuple[CodedStill, float]:
+        key = crf, thorough
         if key not in self._made:
-            payload = encode_picture(self.picture, quality, self._gray, thorough=thorough)
+            still = encode_still(self.picture, crf, self._gray, thorough=thorough)
             height, width, _ = self.picture.shape
-            self._made[key] = payload, self.error(decode_picture(payload, width, height, self._gray))
+            video = VideoFormat(width=width, height=height, bits=STILL_BITS, magnified=still.magnified, gray=self._gray)
+            self._made[key] = still, self.error(decode_still(still.payload, video))
         return self._made[key]
 
 
