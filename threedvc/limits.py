@@ -28,6 +28,7 @@ __all__ = [
     "MAX_SENSORS",
     "MAX_SEQUENCE_SAMPLES",
     "MAX_TEXTURE_BITS",
+    "MAX_TILE_BYTES",
     "MAX_VIDEO_SIDE",
 ]
 
@@ -69,6 +70,9 @@ MAX_SENSORS: Final = 256
 
 MAX_TEXTURE_BITS: Final = 2
 """Binary logarithm of the number of texels along an edge of a cell."""
+
+MAX_TILE_BYTES: Final = 2048
+"""Bytes that tell the tiles of a depth video, one bit each."""
 
 MAX_VIDEO_SIDE: Final = 4096
 """Columns or rows of a video."""

@@ -34,7 +34,7 @@ from threedvc.decoder.sensor_state import SensorState
 from threedvc.errors import CorruptStream, LimitExceeded, UnsupportedVersion
 from threedvc.geometry.pose import Pose
 from threedvc.limits import MAX_COLOR_VIDEO_SAMPLES, MAX_COUNT, MAX_SEQUENCE_SAMPLES
-from threedvc.render.captured_depth import CapturedDepth, depth_levels
+from threedvc.render.captured_depth import CapturedDepth, depth_levels, unpack_tiles
 from threedvc.stream.batch import Member
 from threedvc.stream.captured_headers import ColorVideoHeader, DepthVideoHeader, ResidualHeader, VideoHeader
 from threedvc.stream.headers import (
@@ -219,9 +219,10 @@ def _captured_depth(
         return
     video = VideoFormat(width=header.columns, height=header.rows, bits=header.bits, gray=True)
     pictures = (planes.luma for planes in decode_av1(payload, header.count, video))
+    tiles = unpack_tiles(header.tiles, header.rows, header.columns)
     levels = depth_levels(header.nearest_m, header.ratio, header.bits)
     for frame in run.frames:
-        yield frame, partial(_show_next_depth, sensor, pictures, levels, header.complete)
+        yield frame, partial(_show_next_depth, sensor, pictures, levels, header.complete, tiles)
 
 
 def _earlier_captured_depth(
@@ -241,10 +242,15 @@ def _earlier_captured_depth(
 
 
 def _show_next_depth(
-    sensor: SensorState, pictures: Iterator[Samples], levels: NDArray[np.float64], complete: bool
+    sensor: SensorState,
+    pictures: Iterator[Samples],
+    levels: NDArray[np.float64],
+    complete: bool,
+    tiles: NDArray[np.bool_] | None = None,
 ) -> None:
     """Decode the next picture of a run; all of them at once might not fit into memory."""
-    sensor.set_captured_depth(CapturedDepth(samples=next(pictures), levels=levels, complete=complete))
+    depth = CapturedDepth(samples=next(pictures), levels=levels, complete=complete, tiles=tiles)
+    sensor.set_captured_depth(depth)
 
 
 def _captured_color(

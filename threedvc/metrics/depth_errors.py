@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DepthErrors", "depth_units", "geman_mcclure_error", "shown_depth_error"]
+__all__ = ["DepthErrors", "depth_units", "geman_mcclure_error", "geman_mcclure_errors", "shown_depth_error"]
 
 ERROR_SCALE = 0.01
 """Of the depth: an error of 1 % counts a half (decision 0012)."""
@@ -39,6 +39,13 @@ def geman_mcclure_error(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np
             squares = (found[seen] / measured[seen] - 1) ** 2
             misfits.append(float(np.mean(squares / (squares + ERROR_SCALE**2))))
     return float(np.mean(misfits)) if misfits else 0.0
+
+
+def geman_mcclure_errors(shown: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return how badly each pixel (h, w) meets what was measured there, from 0 to 1; 0 where nothing was measured."""
+    seen = measured > 0
+    squares = (np.where(shown > 0, shown, NOWHERE_M) / np.where(seen, measured, 1) - 1.0) ** 2
+    return np.where(seen, squares / (squares + ERROR_SCALE**2), 0.0)
 
 
 def shown_depth_error(pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]]) -> float:

@@ -12,14 +12,67 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.errors import CorruptStream
 from threedvc.kernels.render.depth_video import magnify
 from threedvc.parallel import for_ranges
 
-__all__ = ["EDGE", "CapturedDepth", "depth_levels"]
+__all__ = [
+    "EDGE",
+    "TILE",
+    "CapturedDepth",
+    "depth_levels",
+    "pack_tiles",
+    "tile_grid",
+    "tiles_of_pixels",
+    "unpack_tiles",
+]
 
 EDGE = 1.1
 """Samples that differ by more than this factor lie on different surfaces. Every reader must use it
 (docs/drawing.md)."""
+
+TILE = 8
+"""Samples along a side of a tile, a block of AV1: smaller ones cost it more than they leave out. Every reader must use
+it."""
+
+
+def tile_grid(rows: int, columns: int) -> tuple[int, int]:
+    """Return how many tiles pictures of a size have, down and across; the last ones may be cut."""
+    return -(-rows // TILE), -(-columns // TILE)
+
+
+def pack_tiles(tiles: NDArray[np.bool_]) -> bytes:
+    """Return tiles (down, across) as bits, row by row, the first one the highest of its byte; empty if all are set."""
+    return b"" if tiles.all() else np.packbits(tiles.reshape(-1)).tobytes()
+
+
+def unpack_tiles(packed: bytes, rows: int, columns: int) -> NDArray[np.bool_] | None:
+    """Return the tiles (down, across) of `pack_tiles`, None for all.
+
+    Raises
+    ------
+    CorruptStream
+        If there are more or fewer bits than tiles, or bits set beyond them.
+    """
+    if not packed:
+        return None
+    down, across = tile_grid(rows, columns)
+    bits = np.unpackbits(np.frombuffer(packed, np.uint8)).astype(np.bool_)
+    if len(packed) != -(-down * across // 8) or bits[down * across :].any():
+        raise CorruptStream(
+            f"a depth video of {columns}x{rows} samples has {down * across} tiles, not what {len(packed)} bytes tell; "
+            "the stream is damaged"
+        )
+    return bits[: down * across].reshape(down, across)
+
+
+def tiles_of_pixels(sizes: tuple[int, int], shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the tile (h,) of each row and (w,) of each column of a depth map of `shape`, of a video of `sizes`."""
+    down, across = (
+        (2 * np.arange(pixels) + 1) * samples // (2 * pixels) // TILE
+        for samples, pixels in zip(sizes, shape, strict=True)
+    )
+    return down, across
 
 
 def depth_levels(nearest_m: float, ratio: float, bits: int) -> NDArray[np.float64]:
@@ -39,11 +92,14 @@ class CapturedDepth:
         (n,) float64 meters: what their values mean.
     complete
         Whether something is everywhere, also where nothing is drawn.
+    tiles
+        (down, across) bool: where it is shown; None: everywhere.
     """
 
     samples: NDArray[np.uint16]
     levels: NDArray[np.float64]
     complete: bool
+    tiles: NDArray[np.bool_] | None = None
 
     def shown(self, drawn: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
         """Return the depth (h, w) in meters of a frame for which the models' (h, w) is drawn; 0 = nothing there."""
@@ -53,4 +109,7 @@ class CapturedDepth:
             magnify(start, stop, self.samples, self.levels, EDGE, self.complete, drawn, result)
 
         for_ranges(row_range, len(drawn), threads)
-        return result
+        if self.tiles is None:
+            return result
+        down, across = tiles_of_pixels(self.samples.shape, drawn.shape)
+        return np.where(self.tiles[down][:, across], result, drawn)

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from threedvc.limits import MAX_MAGNIFICATION, MAX_VIDEO_SIDE
-from threedvc.stream.header_fields import flag, integer, key, number
+from threedvc.limits import MAX_MAGNIFICATION, MAX_TILE_BYTES, MAX_VIDEO_SIDE
+from threedvc.stream.header_fields import bitmap, flag, integer, key, number
 from threedvc.stream.headers import SensorRunHeader
 from threedvc.stream.packets import PacketType
 
@@ -68,6 +68,8 @@ class DepthVideoHeader(SensorRunHeader):
         Depth that the value 0 means, and of each value to the one before.
     complete
         Whether something is everywhere, also where nothing is drawn.
+    tiles
+        Where the pictures are shown, see `threedvc.render.captured_depth.pack_tiles`; empty: everywhere.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.DEPTH_VIDEO
@@ -79,6 +81,7 @@ class DepthVideoHeader(SensorRunHeader):
     nearest_m: float = key("z", number(1e-6, 1e6))
     ratio: float = key("r", number(1, 1.05))
     complete: bool = key("a", flag(), default=False)
+    tiles: bytes = key("t", bitmap(MAX_TILE_BYTES), default=b"")
 
 
 @dataclass(frozen=True, kw_only=True)

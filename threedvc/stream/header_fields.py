@@ -18,7 +18,7 @@ from threedvc.errors import ConfigError
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import is_rigid
 
-__all__ = ["FieldType", "blob", "camera", "extrinsic", "flag", "integer", "key", "names", "number", "text"]
+__all__ = ["FieldType", "bitmap", "blob", "camera", "extrinsic", "flag", "integer", "key", "names", "number", "text"]
 
 CAMERA_NUMBERS = 11
 """Width and height, focal lengths, principal point, and the five coefficients of the lens that OpenCV has."""
@@ -113,6 +113,17 @@ def blob(size: int) -> FieldType:
         return value
 
     return FieldType(f"bin of {size} bytes", read)
+
+
+def bitmap(longest: int) -> FieldType:
+    """Return the type of byte strings of up to `longest` bytes."""
+
+    def read(value: Any) -> bytes:
+        if not isinstance(value, bytes) or len(value) > longest:
+            raise ValueError
+        return value
+
+    return FieldType(f"bin of up to {longest} bytes", read)
 
 
 def camera(*, optional: bool = False) -> FieldType:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple, TypeAlias
 
 import cv2
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.video.av1 import Av1Settings, encode_av1
 from threedvc.coding.video.planes import Samples, VideoFormat, gray_planes
+from threedvc.render.captured_depth import tiles_of_pixels
 from threedvc.render.hole_filling import fill_unknown
 
 __all__ = ["DEPTH_BITS", "DepthMaps", "EncodedDepthRun", "PictureFormat", "encode_depth_run"]
@@ -56,16 +58,25 @@ class EncodedDepthRun(NamedTuple):
         Whether the run shows something everywhere.
     payload
         The coded pictures.
+    tiles
+        (down, across) bool: where they are shown; None: everywhere.
     """
 
     nearest_m: float
     ratio: float
     complete: bool
     payload: bytes
+    tiles: NDArray[np.bool_] | None
 
 
 def encode_depth_run(
-    measured: DepthMaps, filled: DepthMaps, choice: PictureFormat, *, thorough: bool, threads: int
+    measured: DepthMaps,
+    filled: DepthMaps,
+    choice: PictureFormat,
+    tiles: NDArray[np.bool_] | None = None,
+    *,
+    thorough: bool,
+    threads: int,
 ) -> EncodedDepthRun:
     """Code depth maps.
 
@@ -77,6 +88,9 @@ def encode_depth_run(
         The same maps, with something else where nothing was measured: these are coded.
     choice
         Size and quality.
+    tiles
+        (down, across) bool: which tiles are shown, see `threedvc.render.captured_depth`; None: all. In the others
+        pictures stay as the first one is about them, which costs next to nothing.
     thorough
         Whether to take time for it.
     threads
@@ -86,7 +100,10 @@ def encode_depth_run(
     nearest, furthest = float(min(near for near, _ in ends)), float(max(far for _, far in ends))
     ratio = float(np.clip((furthest / nearest) ** (1 / LAST), MIN_RATIO, MAX_RATIO))
     video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
-    pictures = (gray_planes(_samples(depth, choice, nearest, ratio), video) for depth in filled)
+    samples: Iterator[Samples] = (_samples(depth, choice, nearest, ratio) for depth in filled)
+    if tiles is not None:
+        samples = _still_outside(samples, tiles)
+    pictures = (gray_planes(each, video) for each in samples)
     thorough = thorough and len(filled) * choice.columns * choice.rows < MAX_THOROUGH_SAMPLES
     preset = THOROUGH_PRESET if thorough else QUICK_PRESET
     return EncodedDepthRun(
@@ -94,7 +111,22 @@ def encode_depth_run(
         ratio=ratio,
         complete=min(float(np.mean(depth > 0)) for depth in measured) > COMPLETE,
         payload=encode_av1(pictures, video, Av1Settings(crf=choice.crf, preset=preset, threads=threads, depth=True)),
+        tiles=tiles,
     )
+
+
+def _still_outside(pictures: Iterator[Samples], tiles: NDArray[np.bool_]) -> Iterator[Samples]:
+    """Yield pictures that stay the same outside of some tiles."""
+    still: Samples | None = None
+    shown = np.zeros((0, 0), np.bool_)
+    for samples in pictures:
+        if still is None:
+            down, across = tiles_of_pixels(samples.shape, samples.shape)
+            shown = tiles[down][:, across]
+            around = np.repeat(samples.astype(np.float32)[..., None], 3, axis=2)
+            fill_unknown(around, shown.astype(np.uint8))
+            still = np.clip(np.rint(around[..., 0]), 0, LAST).astype(np.uint16)
+        yield np.where(shown, samples, still)
 
 
 def _samples(depth: NDArray[np.float32], choice: PictureFormat, nearest_m: float, ratio: float) -> Samples:

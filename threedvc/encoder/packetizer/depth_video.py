@@ -7,9 +7,10 @@ measure by which cells are chosen: the logarithm of the depth's misfit against t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +29,9 @@ from threedvc.encoder.packetizer.frame_runs import runs_of
 from threedvc.encoder.rate.objective import ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
-from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_VIDEO_SIDE
-from threedvc.metrics.depth_errors import shown_depth_error
-from threedvc.render.captured_depth import CapturedDepth, depth_levels
+from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_TILE_BYTES, MAX_VIDEO_SIDE
+from threedvc.metrics.depth_errors import geman_mcclure_errors, shown_depth_error
+from threedvc.render.captured_depth import CapturedDepth, depth_levels, pack_tiles, tile_grid, tiles_of_pixels
 from threedvc.stream.captured_headers import DepthVideoHeader
 from threedvc.stream.framing_sizes import DEPTH_VIDEO_FRAMING_BYTES
 from threedvc.stream.packets import Packet
@@ -51,10 +52,37 @@ ALIKE = 0.01
 """Of choices whose gains differ by no more, the finest is taken: trials are coded less thoroughly."""
 MAX_RATE_SHARE = 0.8
 """Share of the bytes of colors of a stream of given rate that a video may take: these need the rest; by hand."""
+TILE_SHARES = (0.9, 0.75, 0.5)
+"""Shares of the misfit that the tiles hold together which are tried alone."""
+MAX_HALF_SHARE = 0.25
+"""Share of the tiles that may hold half of the misfit for that to be tried: what bends does, noise is everywhere."""
+MIN_MISFIT = 1e-9
+"""Keeps shares of no misfit at all finite."""
 MAX_SCALE_SHARE = 0.99
 """Of the greatest scale within the limit of samples: sides are rounded."""
 MIN_SIDE = 16
 """No side of a picture is smaller, unless the depth map's is; by hand."""
+
+
+class DepthVideoChoice(NamedTuple):
+    """How depth is coded, and where.
+
+    Attributes
+    ----------
+    pictures
+        Format of the pictures.
+    least_misfit
+        The misfit of what is drawn from which on a tile of a run is shown instead; 0: all are.
+    """
+
+    pictures: PictureFormat
+    least_misfit: float = 0.0
+
+    def tiles(self, misfits: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+        """Return which tiles of `tile_misfits` are shown, None for all: also where too many would have to be told."""
+        if not self.least_misfit or misfits.size > 8 * MAX_TILE_BYTES:
+            return None
+        return np.asarray(misfits >= self.least_misfit)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,6 +178,24 @@ def choose_depth_video(
     return videos if sum(len(video.payload) for video in videos) <= max_bytes else []
 
 
+def tile_misfits(
+    pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]], video: PictureFormat
+) -> NDArray[np.float64]:
+    """Return the misfit of depths that are drawn in each tile (down, across) of a video, over that of a wrong picture.
+
+    `pictures` are pairs of what is drawn and what was measured, (h, w) each.
+    """
+    size = video.rows, video.columns
+    tiles = np.zeros(tile_grid(*size))
+    count = 0
+    for drawn, measured in pictures:
+        numbers = np.ravel_multi_index(np.ix_(*tiles_of_pixels(size, drawn.shape)), tiles.shape)
+        misfits = geman_mcclure_errors(drawn, measured)
+        tiles += np.bincount(numbers.reshape(-1), misfits.reshape(-1), tiles.size).reshape(tiles.shape) / drawn.size
+        count += 1
+    return tiles / max(count, 1)
+
+
 class DepthVideoTrial:
     """Frames in the middle of those that one sensor took, and what the models draw of some of them.
 
@@ -177,26 +223,46 @@ class DepthVideoTrial:
         self._max_scale = min(MAX_SCALE_SHARE * max_share**0.5, MAX_VIDEO_SIDE / max(width, height))
         self._misfit = self._misfit_with({})
 
-    def best(self, *, sure: bool) -> PictureFormat | None:
-        """Return the format that gains most; None if none gains enough, unless a video is wanted for sure."""
-        gains: dict[PictureFormat, float] = {}
-        for scale in SCALES:
-            choice = self._format(scale)
+    def best(self, *, sure: bool) -> DepthVideoChoice | None:
+        """Return the choice that gains most; None if none gains enough, unless a video is wanted for sure."""
+        gains: dict[DepthVideoChoice, float] = {}
+
+        def gain(choice: DepthVideoChoice) -> float:
             if choice not in gains:
                 gains[choice] = self._gain(choice)
-            if gains[choice] == -inf or (gains[choice] < HOPELESS_GAIN and not sure):
+            return gains[choice]
+
+        def most() -> DepthVideoChoice:
+            return max(gains, key=gains.__getitem__)
+
+        for scale in SCALES:
+            found = gain(DepthVideoChoice(self._format(scale)))
+            if found == -inf or (found < HOPELESS_GAIN and not sure):
                 break
-        if max(gains.values()) < HOPELESS_GAIN and not sure:
+        for misfit in self._tile_misfits(most().pictures) if not sure else ():
+            gain(most()._replace(least_misfit=misfit))
+        if gains[most()] < HOPELESS_GAIN and not sure:
             return None
-        middle = max(gains, key=lambda each: gains[each])
+        middle = most()
         for crf in OTHER_CRFS:
-            choice = middle._replace(crf=crf)
-            gains[choice] = self._gain(choice)
-        most = max(gains.values())
-        if most == -inf or not (sure or most > MIN_GAIN):
+            gain(middle._replace(pictures=middle.pictures._replace(crf=crf)))
+        best = gains[most()]
+        if best == -inf or not (sure or best > MIN_GAIN):
             return None
-        alike = [choice for choice in gains if gains[choice] >= most - ALIKE]
-        return max(alike, key=lambda each: (each.columns * each.rows, -each.crf))
+        alike = [choice for choice in gains if gains[choice] >= best - ALIKE]
+        return max(alike, key=lambda each: (each.pictures.columns * each.pictures.rows, -each.pictures.crf))
+
+    def _tile_misfits(self, pictures: PictureFormat) -> list[float]:
+        """Return misfits of tiles from which on these hold some shares of all, if few hold the half."""
+        misfits = self._misfits(pictures)
+        rising = np.sort(misfits.reshape(-1))[::-1]
+        held = np.cumsum(rising) / max(rising.sum(), MIN_MISFIT)
+        few = np.searchsorted(held, 0.5) + 1 <= MAX_HALF_SHARE * len(rising)
+        return [float(rising[np.searchsorted(held, share)]) for share in TILE_SHARES] if few else []
+
+    def _misfits(self, pictures: PictureFormat) -> NDArray[np.float64]:
+        """Return the `tile_misfits` of what is drawn."""
+        return tile_misfits(((drawn, self._measured[place]) for place, drawn in self._drawn.items()), pictures)
 
     def _format(self, scale: float) -> PictureFormat:
         height, width = self._measured[0].shape
@@ -204,15 +270,18 @@ class DepthVideoTrial:
         rows, columns = (min(max(int(scale * side), MIN_SIDE), side) for side in (height, width))
         return PictureFormat(columns, rows, MIDDLE_CRF)
 
-    def _gain(self, choice: PictureFormat) -> float:
+    def _gain(self, choice: DepthVideoChoice) -> float:
         """Return what a video gains: what it takes off the misfit less the price of its bytes."""
-        run = encode_depth_run(self._measured, self._measured, choice, thorough=False, threads=self._threads)
+        tiles = choice.tiles(self._misfits(choice.pictures))
+        run = encode_depth_run(
+            self._measured, self._measured, choice.pictures, tiles, thorough=False, threads=self._threads
+        )
         video_bytes = (len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES) / self._share
         budget = self._cost.budget_bytes
         if budget is not None and video_bytes > MAX_RATE_SHARE * budget:
             return -inf
         dearer = self._cost.at(video_bytes) - self._cost.at(0)
-        better = self._misfit - self._misfit_with(self._shown(run, choice))
+        better = self._misfit - self._misfit_with(self._shown(run, choice.pictures))
         return self._weight * self._part * better - dearer
 
     def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
@@ -220,7 +289,7 @@ class DepthVideoTrial:
         video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
         levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS)
         return {
-            place: CapturedDepth(samples=planes.luma, levels=levels, complete=run.complete).shown(
+            place: CapturedDepth(samples=planes.luma, levels=levels, complete=run.complete, tiles=run.tiles).shown(
                 self._drawn[place], self._threads
             )
             for place, planes in enumerate(decode_av1(run.payload, len(self._measured), video))
@@ -241,26 +310,27 @@ class DepthVideoWriter:
         self._own = own
         self._drawn = own.drawn(own.seeing)
 
-    def packets(self, choice: PictureFormat) -> Iterator[Packet]:
-        """Yield a packet for each run of frames with depth in a BATCH."""
+    def packets(self, choice: DepthVideoChoice) -> Iterator[Packet]:
+        """Yield a packet for each run of frames with depth in a BATCH, but where no tile is worth it."""
+        pictures, threads = choice.pictures, self._own.scene.config.threads
         for numbers in self._own.runs():
             measured = [self._own.measured(number) for number in numbers]
-            run = encode_depth_run(
-                measured, self._filled(measured), choice, thorough=True, threads=self._own.scene.config.threads
-            )
+            drawn = [next(self._drawn) for _ in numbers]
+            tiles = choice.tiles(tile_misfits(zip(drawn, measured, strict=True), pictures))
+            if tiles is not None and not tiles.any():
+                continue
+            filled = [np.where(depth > 0, depth, models) for depth, models in zip(measured, drawn, strict=True)]
+            run = encode_depth_run(measured, filled, pictures, tiles, thorough=True, threads=threads)
             header = DepthVideoHeader(
                 frame=numbers[0],
                 count=len(numbers),
                 sensor=self._own.sensor,
-                columns=choice.columns,
-                rows=choice.rows,
+                columns=pictures.columns,
+                rows=pictures.rows,
                 bits=DEPTH_BITS,
                 nearest_m=run.nearest_m,
                 ratio=run.ratio,
                 complete=run.complete,
+                tiles=b"" if tiles is None else pack_tiles(tiles),
             )
             yield header.packet(run.payload, critical=False)
-
-    def _filled(self, measured: DepthMaps) -> DepthMaps:
-        """Return depth maps with what the models draw where nothing was measured: there it shall stay."""
-        return [np.where(depth > 0, depth, next(self._drawn)) for depth in measured]
