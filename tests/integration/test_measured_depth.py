@@ -141,6 +141,25 @@ def test_damage_is_one_error(payload: bytes, packets: list[Packet], tmp_path: Pa
     assert len(list(threedvc.decode(path, what=frozenset({"color"})))) == FRAMES
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n": 0}, "'n'"),
+        ({"k": 4}, "'k'"),
+        ({"e": -1}, "'e'"),
+        ({"s": 1}, "names sensor 1, but the stream has 1"),
+        ({"n": 2}, "goes on after its end"),
+        ({"n": 5}, "stands in the BATCH of frames"),
+        ({"f": 3}, "stands in the BATCH of frames"),
+    ],
+)
+def test_headers_that_lie_are_one_error(change: dict[str, int], message: str, packets: list[Packet]) -> None:
+    changed = with_changed(packets, PacketType.RESIDUAL, lambda packet: replace(packet, header=packet.header | change))
+    with pytest.raises(CorruptStream, match=message) as raised:
+        list(Decoder().frames(changed))
+    assert "\n" not in str(raised.value)
+
+
 def test_runs_of_too_many_samples_are_refused(packets: list[Packet]) -> None:
     header = next(each.header for each in members_of(packets) if each.type == PacketType.RESIDUAL)
     with pytest.raises((CorruptStream, LimitExceeded)):

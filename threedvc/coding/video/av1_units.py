@@ -8,10 +8,11 @@ bitstream specification.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from threedvc.errors import CorruptStream
+from threedvc.limits import MAX_COUNT
 from threedvc.stream.wire import ByteReader, pack_varint
 
 __all__ = ["SequenceFormat", "pack_units", "read_sequence_header", "unpack_units"]
@@ -24,6 +25,9 @@ PLAIN_BITS = 24
 """Of a sequence header: profile, still picture, timing, delays and operating points, all 0 in what is written here."""
 MAX_UNTIERED_LEVEL = 7
 """Levels above are followed by a bit for the tier."""
+MAX_PICTURE_UNITS = 32
+"""Units of a picture, shown or not yet: there are places for eight frames that are shown later, and encoders fill six
+before they show one (decision 0030). Units of two bytes each would take fifty times their size in memory."""
 SELECTED = 2
 """What a tool is set to if each frame tells whether it uses it."""
 
@@ -92,7 +96,7 @@ def pack_units(packets: Iterable[bytes]) -> bytes:
     return b"".join(pack_varint(len(body) - 1) + body for body in [*headers, *frames])
 
 
-def unpack_units(payload: bytes) -> tuple[bytes, list[bytes]]:
+def unpack_units(payload: bytes, most: int = MAX_COUNT) -> tuple[bytes, list[bytes]]:
     """Return the sequence header's body, and for every picture in turn its units as a decoder takes them.
 
     The header stands before the first picture's. Sizes in AV1 data are written as varints are (leb128).
@@ -100,30 +104,36 @@ def unpack_units(payload: bytes) -> tuple[bytes, list[bytes]]:
     Raises
     ------
     CorruptStream
-        If units are cut short, there is none, or a frame at the end is not shown.
+        If units are cut short, there is none, a frame at the end is not shown, a picture has more than
+        `MAX_PICTURE_UNITS`, or there are more than `most` pictures.
     """
-    header, *frames = _bodies(payload)
-    pictures, units = [], [_unit(SEQUENCE_HEADER, header)]
-    for frame in frames:
+    bodies = _bodies(payload)
+    header = next(bodies)
+    pictures, units = list[bytes](), list[bytes]()
+    for frame in bodies:
         units.append(_unit(FRAME_HEADER if frame[0] & SHOWS_EARLIER else FRAME, frame))
+        if len(units) > MAX_PICTURE_UNITS or len(pictures) == most:
+            raise CorruptStream(
+                f"a video of {most} pictures has more, or one of more than {MAX_PICTURE_UNITS} units; the stream is "
+                "damaged"
+            )
         if frame[0] & (SHOWS_EARLIER | SHOWN):
             pictures.append(b"".join(units))
             units = []
     if units:
         raise CorruptStream("a video ends with a frame that is not shown; the stream is damaged")
-    return header, pictures
+    return header, [_unit(SEQUENCE_HEADER, header) + first for first in pictures[:1]] + pictures[1:]
 
 
-def _bodies(payload: bytes) -> list[bytes]:
-    """Return what units hold: at least one, and none empty."""
+def _bodies(payload: bytes) -> Iterator[bytes]:
+    """Yield what units hold: at least one, and none empty."""
     reader = ByteReader(payload)
-    bodies: list[bytes] = []
     try:
-        while reader.remaining or not bodies:
-            bodies.append(reader.take(reader.varint() + 1))
+        yield reader.take(reader.varint() + 1)
+        while reader.remaining:
+            yield reader.take(reader.varint() + 1)
     except CorruptStream as error:
         raise CorruptStream(f"a video is incomplete: {error}; the stream is damaged") from None
-    return bodies
 
 
 def _unit(kind: int, body: bytes) -> bytes:
