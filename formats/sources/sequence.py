@@ -116,10 +116,12 @@ class FolderSequence:
         if not 0 <= position < len(self):
             raise IndexError(f"frame {index} is not one of {len(self)}")
         files, rig = self._recording.frames[position], self._recording.rig
+        color = read_color(files.color)
         return Frame(
             index=position,
             timestamp_ns=files.timestamp_ns,
-            color=_of_size(rig.color, read_color(files.color), files.color),
+            color=_of_size(rig.color, color.pixels, files.color),
+            color_file=color.jpeg,
             depth=_of_size(rig.depth, self._depth_m(files.depth), files.depth),
             mask=self._mask(files),
             T_world_camera=files.T_world_camera,

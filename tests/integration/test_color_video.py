@@ -200,14 +200,14 @@ def test_what_cannot_be_decoded_is_said_and_models_are_drawn(
     path: Path, packets: list[Packet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     newer = written(
-        with_videos(packets, lambda video: replace(video, header=video.header | {"c": 3})), tmp_path / "newer.3dvc"
+        with_videos(packets, lambda video: replace(video, header=video.header | {"c": 200})), tmp_path / "newer.3dvc"
     )
     stream = threedvc.open_stream(newer)
     np.testing.assert_array_equal([frame.color for frame in stream], colors(path, MODELS))
-    assert stream.unread_codec == 3
+    assert stream.unread_codec == 200
     result = CliRunner().invoke(main, ["decode", str(newer), str(tmp_path / "out")])
     assert result.exit_code == 0
-    assert "cannot decode its color video (codec 3)" in result.stderr
+    assert "cannot decode its color video (codec 200)" in result.stderr
     assert "color video" not in CliRunner().invoke(main, ["decode", str(path), str(tmp_path / "other")]).stderr
     monkeypatch.setattr(packet_handlers, "can_decode_av1", lambda: False)
     np.testing.assert_array_equal(colors(path), colors(path, MODELS))

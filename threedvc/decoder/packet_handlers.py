@@ -23,6 +23,7 @@ from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.coding.video.av1 import can_decode_av1, decode_av1
 from threedvc.coding.video.ffv1 import EXACT_BITS, can_decode_ffv1, decode_ffv1
+from threedvc.coding.video.jpeg import decode_jpeg_files
 from threedvc.coding.video.planes import CapturedColor, ExactColor, ShownColor, VideoFormat
 from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
 from threedvc.decoder.decoder_state import DecoderState
@@ -61,6 +62,8 @@ Change: TypeAlias = Callable[[], None]
 FrameChange: TypeAlias = tuple[int, Change]
 Handler: TypeAlias = Callable[[DecoderState, BatchTimeline, Header, bytes], Iterable[FrameChange]]
 H = TypeVar("H", bound=Header)
+EXACT_CODECS: Final = (VideoCodec.FFV1, VideoCodec.JPEG)
+"""Whose pictures are shown as they are."""
 
 
 def changes_by_frame(header: BatchHeader, members: Sequence[Member], state: DecoderState) -> dict[int, list[Change]]:
@@ -238,15 +241,16 @@ def _color_pictures(sensor: SensorState, header: ColorVideoHeader, payload: byte
     )
     if header.codec == VideoCodec.AV1 and can_decode_av1():
         return (CapturedColor(planes=planes, video=video) for planes in decode_av1(payload, header.count, video))
-    if header.codec == VideoCodec.FFV1 and can_decode_ffv1():
-        camera = sensor.rig.color
-        if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=video.gray):
-            raise CorruptStream(
-                f"a video without loss of {video.width}x{video.height} samples of {video.bits} bits must have "
-                f"{camera.width}x{camera.height} of {EXACT_BITS} bits, which are not magnified; the stream is damaged"
-            )
-        return (ExactColor(picture=picture) for picture in decode_ffv1(payload, header.count, video))
-    return None
+    if header.codec not in EXACT_CODECS or (header.codec == VideoCodec.FFV1 and not can_decode_ffv1()):
+        return None
+    camera = sensor.rig.color
+    if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=video.gray):
+        raise CorruptStream(
+            f"a video without loss of {video.width}x{video.height} samples of {video.bits} bits must have "
+            f"{camera.width}x{camera.height} of {EXACT_BITS} bits, which are not magnified; the stream is damaged"
+        )
+    decode = decode_ffv1 if header.codec == VideoCodec.FFV1 else decode_jpeg_files
+    return (ExactColor(picture=picture) for picture in decode(payload, header.count, video))
 
 
 def _show_next(sensor: SensorState, pictures: Iterator[ShownColor]) -> None:

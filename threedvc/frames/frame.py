@@ -39,6 +39,8 @@ class Frame:
         Known poses of labeled objects, by label.
     color_timestamp_ns
         Time of the color picture where it has a clock of its own, else None.
+    color_file
+        The JPEG file that the color was decoded from, byte for byte, or None.
     sensor
         Which of several sensors took it, from 0.
     together
@@ -53,6 +55,7 @@ class Frame:
     T_world_camera: Pose | None = None
     T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
     color_timestamp_ns: int | None = None
+    color_file: bytes | None = None
     sensor: int = 0
     synchronized: bool = False
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from threedvc.coding.video.parts import pack_parts
 from threedvc.errors import CorruptStream
 from threedvc.limits import MAX_COUNT
 from threedvc.stream.wire import ByteReader, pack_varint
@@ -93,7 +94,7 @@ def pack_units(packets: Iterable[bytes]) -> bytes:
                 raise ValueError(f"a unit 0x{kind:02x} of AV1 data cannot stand in a payload")
     if len(headers) != 1:
         raise ValueError(f"a run of pictures has {len(headers)} sequence headers; it must have one")
-    return b"".join(pack_varint(len(body) - 1) + body for body in [*headers, *frames])
+    return pack_parts([*headers, *frames])
 
 
 def unpack_units(payload: bytes, most: int = MAX_COUNT) -> tuple[bytes, list[bytes]]:
