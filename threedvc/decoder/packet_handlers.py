@@ -268,7 +268,7 @@ def _measured_depth(
     if samples > MAX_SEQUENCE_SAMPLES:
         raise LimitExceeded(f"a RESIDUAL of {samples} samples is larger than the {MAX_SEQUENCE_SAMPLES} accepted")
     if state.wanted.depth:
-        measured = MeasuredRun(payload, header.count, camera, sensor.header.depth_scale, state.wanted.threads)
+        measured = MeasuredRun(header, payload, camera, sensor.header.depth_scale, state.wanted.threads)
         yield run.frames[0], partial(sensor.begin_measured_run, measured)
 
 

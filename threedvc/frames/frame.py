@@ -31,6 +31,9 @@ class Frame:
         (height, width, 3) uint8 RGB in the color camera; gray input has three equal channels.
     depth
         (height, width) float32 meters along z in the depth camera; 0 = no measurement.
+    saturated
+        (height, width) bool, where the depth picture holds the largest value of 16 bits, which is no measurement, in
+        place of 0; None: nowhere.
     mask
         (height, width) uint8 object labels in the depth camera, 0 = background, or None.
     T_world_camera
@@ -52,6 +55,7 @@ class Frame:
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     mask: NDArray[np.uint8] | None = None
+    saturated: NDArray[np.bool_] | None = None
     T_world_camera: Pose | None = None
     T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
     color_timestamp_ns: int | None = None
@@ -160,6 +164,7 @@ def check_frame(frame: Frame, info: SequenceInfo) -> None:
     for name, picture, channels, camera in (
         ("color", frame.color, (3,), rig.color),
         ("depth", frame.depth, (), rig.depth),
+        ("saturated pixels", frame.depth if frame.saturated is None else frame.saturated, (), rig.depth),
     ):
         if picture.shape != (camera.height, camera.width, *channels):
             raise SequenceError(
