@@ -111,6 +111,7 @@ def decode(
                     color=frame.color,
                     depth=frame.depth,
                     labels=frame.labels,
+                    saturated=frame.saturated,
                     T_world_camera=frame.T_world_camera,
                     T_camera_object=frame.T_camera_object,
                     color_timestamp_ns=frame.color_timestamp_ns,

@@ -17,6 +17,7 @@ from threedvc.coding.gains import apply_gain
 from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.frame_state import FrameState
+from threedvc.decoder.measured_depth import MeasuredDepth
 from threedvc.decoder.replay import DrawableModels
 from threedvc.errors import ConfigError, FormatError, TruncatedStream
 from threedvc.formats.container import open_input
@@ -53,6 +54,8 @@ class DecodedFrame:
         (h, w) float32 meters in the depth camera, 0 = nothing there.
     labels
         (h, w) uint8 object numbers in the depth camera.
+    saturated
+        (h, w) bool, where the depth picture as filmed held the largest value of 16 bits in place of 0; None: nowhere.
     T_world_camera
         Pose of the depth camera that the frame was drawn from.
     T_camera_object
@@ -69,6 +72,7 @@ class DecodedFrame:
     T_world_camera: Pose
     T_camera_object: dict[int, Pose]
     color_timestamp_ns: int | None = None
+    saturated: NDArray[np.bool_] | None = None
 
 
 class DecodedStream:
@@ -180,7 +184,8 @@ class DecodedStream:
             T_view_camera = compose(inverse(seen_from), T_world_camera)
             poses = {number: compose(T_view_camera, pose) for number, pose in poses.items()}
             T_world_camera = seen_from
-        picture = self._picture(poses, state)
+        picture, captured = self._picture(poses, state), state.captured_depth
+        saturated = captured.saturated if isinstance(captured, MeasuredDepth) else None
         return DecodedFrame(
             index=state.index,
             timestamp_ns=state.timestamp_ns,
@@ -190,6 +195,7 @@ class DecodedStream:
             color=picture.color,
             depth=picture.depth,
             labels=picture.labels,
+            saturated=saturated if saturated is not None and saturated.shape == picture.depth.shape else None,
             T_world_camera=T_world_camera,
             T_camera_object={
                 number: pose for number, pose in poses.items() if number and not self.decoder.models[number].guessed

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threedvc.errors import SequenceError
 from threedvc.formats.decoding import DecodedFrame
@@ -110,6 +111,7 @@ class Comparison:
     _color: list[ColorQuality] = field(default_factory=list)
     _depth: DepthErrors | None = None
     _equal_colors: bool = True
+    _equal_gaps: bool = True
     _camera: dict[int, tuple[Pose, Pose]] = field(default_factory=dict)
 
     def add(self, drawn: DecodedFrame, given: Frame) -> None:
@@ -121,6 +123,7 @@ class Comparison:
         self.per_frame.append(asdict(color) | depth.quality())
         self._color.append(color)
         self._equal_colors &= np.array_equal(given.color, drawn.color)
+        self._equal_gaps &= _same(given.saturated, drawn.saturated)
         self._depth = depth if self._depth is None else self._depth + depth
         self.objects.add(drawn, given)
         if given.T_world_camera is not None and not drawn.sensor:
@@ -136,7 +139,7 @@ class Comparison:
         """Return which of ``color`` and ``depth`` are equal to the reference in every frame and pixel."""
         if self._depth is None:
             return ()
-        equal = {"color": self._equal_colors, "depth": self._depth.lossless}
+        equal = {"color": self._equal_colors, "depth": self._depth.lossless and self._equal_gaps}
         return tuple(kind for kind, same in equal.items() if same)
 
     def camera(self) -> TrajectoryError | None:
@@ -145,3 +148,8 @@ class Comparison:
             return None
         true, found = zip(*self._camera.values(), strict=True)
         return trajectory_error(true, found, list(self._camera))
+
+
+def _same(one: NDArray[np.bool_] | None, other: NDArray[np.bool_] | None) -> bool:
+    """Tell whether the same pixels (h, w) are marked; None marks none."""
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))

@@ -40,8 +40,8 @@ FOLDERS = {"color": "color", "depth": "depth", "labels": "masks"}
 OWN_PICTURE = re.compile(r"\d{6,}\.png(\.part)?")
 DECODE, SYNTH = "3dvc decode", "3dvc synth"
 """Commands that write recordings; 0.1.0 called both 3dvc, so that it is not known which of them wrote such a folder."""
-DEPTH_LIMIT = 65534
-"""65535 reads as no measurement."""
+DEPTH_LIMIT, SATURATED = 65534, 65535
+"""The latter reads as no measurement."""
 PENDING_PER_THREAD = 4
 """Pictures that wait to be written: enough that no thread is idle, few enough to fit into memory."""
 
@@ -130,6 +130,7 @@ class PlainSink:
         color: NDArray[np.uint8] | None = None,
         depth: NDArray[np.float32] | None = None,
         labels: NDArray[np.uint8] | None = None,
+        saturated: NDArray[np.bool_] | None = None,
         T_world_camera: Pose | None = None,
         T_camera_object: Mapping[int, Pose] | None = None,
         color_timestamp_ns: int | None = None,
@@ -148,6 +149,8 @@ class PlainSink:
             (height, width) meters. 0, NaN and what 16 bits cannot hold at the depth scale become 0, no measurement.
         labels
             (height, width) uint8 object labels in the depth camera.
+        saturated
+            (height, width) bool, where 65535 is written in place of 0 for no measurement; None: nowhere.
         T_world_camera, T_camera_object
             Poses where known.
 
@@ -160,7 +163,7 @@ class PlainSink:
             self._begin()
         if self._written and index <= self._written[-1].index:
             raise ConfigError(f"frame {index} follows frame {self._written[-1].index}; write frames in order")
-        for part, picture in self._pictures(color, depth, labels):
+        for part, picture in self._pictures(color, depth, labels, saturated):
             path = self._folder / FOLDERS[part] / f"{index:06d}.png"
             self._pending.append(self._encoders.submit(_write_png, path, picture))
         self._written.append(
@@ -176,6 +179,7 @@ class PlainSink:
             color=frame.color,
             depth=frame.depth,
             labels=frame.mask,
+            saturated=frame.saturated,
             T_world_camera=frame.T_world_camera,
             T_camera_object=frame.T_camera_object,
             color_timestamp_ns=frame.color_timestamp_ns,
@@ -246,12 +250,16 @@ class PlainSink:
         color: NDArray[np.uint8] | None,
         depth: NDArray[np.float32] | None,
         labels: NDArray[np.uint8] | None,
+        saturated: NDArray[np.bool_] | None,
     ) -> Iterator[tuple[str, cv2.typing.MatLike]]:
         """Yield the parts to write as OpenCV wants them, in memory of their own."""
         if color is not None and "color" in self._what:
             yield "color", color[..., 0].copy() if self._info.gray else cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
         if depth is not None and "depth" in self._what:
-            yield "depth", _depth_units(depth, self._info.depth_scale)
+            units = _depth_units(depth, self._info.depth_scale)
+            if saturated is not None:
+                units[saturated & (units == 0)] = SATURATED
+            yield "depth", units
         if labels is not None and "labels" in self._what:
             yield "labels", labels.copy()
 

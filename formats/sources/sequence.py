@@ -116,11 +116,14 @@ class FolderSequence:
         if not 0 <= position < len(self):
             raise IndexError(f"frame {index} is not one of {len(self)}")
         files, rig = self._recording.frames[position], self._recording.rig
+        color, (depth, saturated) = read_color(files.color), self._depth_m(files.depth)
         return Frame(
             index=position,
             timestamp_ns=files.timestamp_ns,
-            color=_of_size(rig.color, read_color(files.color), files.color),
-            depth=_of_size(rig.depth, self._depth_m(files.depth), files.depth),
+            color=_of_size(rig.color, color.pixels, files.color),
+            color_file=color.jpeg,
+            depth=_of_size(rig.depth, depth, files.depth),
+            saturated=saturated if saturated.any() else None,
             mask=self._mask(files),
             T_world_camera=files.T_world_camera,
             T_camera_object=files.T_camera_object,
@@ -143,11 +146,15 @@ class FolderSequence:
         finally:
             reader.shutdown(cancel_futures=True)
 
-    def _depth_m(self, path: Path) -> NDArray[np.float32]:
-        depth = np.divide(self._raw_depth(path), np.float32(self._recording.depth_scale), dtype=np.float32)
+    def _depth_m(self, path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return depth (h, w) in meters, 0 where it was not measured, and where that is since it is saturated."""
+        raw = read_depth(path)
+        saturated = raw == NO_MEASUREMENT
+        raw[saturated] = 0
+        depth = np.divide(raw, np.float32(self._recording.depth_scale), dtype=np.float32)
         if self._max_depth_m is not None:
             depth = limited_depth(depth, self._max_depth_m)
-        return depth
+        return depth, saturated
 
     def _mask(self, files: FrameFiles) -> NDArray[np.uint8] | None:
         """Return the labels (h, w) of a frame, None where it has none."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,9 +22,12 @@ from threedvc.coding.filters import MAX_FACTOR, decode_filter
 from threedvc.coding.morton import morton_order
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief, encode_relief
+from threedvc.coding.saturated import SaturatedPixels
 from threedvc.coding.update import decode_update, encode_update_with_result
 from threedvc.coding.video.av1 import Av1Settings, can_encode_av1, decode_av1, encode_av1
 from threedvc.coding.video.earlier import decode_earlier_run, decode_earlier_still
+from threedvc.coding.video.jpeg import decode_jpeg_files
+from threedvc.coding.video.parts import pack_parts
 from threedvc.coding.video.planes import VideoFormat, gray_planes
 from threedvc.coding.video.still import decode_still, encode_still
 from threedvc.errors import FormatError
@@ -31,6 +35,8 @@ from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import identity
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
+from threedvc.stream.compressed_payload import compress
+from threedvc.stream.wire import ByteReader, pack_varint
 
 NO_CELLS = np.empty((0, 3), dtype=np.int32)
 needs_av1 = pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV has no AV1")
@@ -202,6 +208,51 @@ def test_random_filter(payload: bytes, gray: bool) -> None:
     except FormatError:
         return
     assert np.abs([filters.luma, filters.chroma]).max() <= MAX_FACTOR
+
+
+@cache
+def jpeg_payload() -> bytes:
+    x, y = np.meshgrid(np.arange(40), np.arange(24))
+    picture = np.stack([6 * x, 9 * y, 120 + x + y], axis=-1).astype(np.uint8)
+    progressive = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]
+    return pack_parts([bytes(cv2.imencode(".jpg", picture, choices)[1]) for choices in ([], progressive)])
+
+
+def show_lawfully(payload: bytes) -> None:
+    """Decode two JPEG files; either a FormatError is raised, or both have the size they should."""
+    try:
+        pictures = list(decode_jpeg_files(payload, 2, VideoFormat(width=40, height=24, bits=8)))
+    except FormatError:
+        return
+    assert [picture.shape for picture in pictures] == [(24, 40, 3)] * 2
+
+
+@given(st.lists(st.tuples(places(jpeg_payload), st.integers(1, 255)), min_size=1, max_size=4))
+def test_changed_bytes_of_jpeg_files(changes: list[tuple[int, int]]) -> None:
+    damaged = bytearray(jpeg_payload())
+    for position, change in changes:
+        damaged[position] ^= change
+    show_lawfully(bytes(damaged))
+
+
+@given(places(jpeg_payload), st.integers(0, 40), st.binary(max_size=20))
+def test_lost_and_added_bytes_of_jpeg_files(position: int, taken: int, put: bytes) -> None:
+    payload = jpeg_payload()
+    show_lawfully(payload[:position] + put + payload[position + taken :])
+
+
+@given(st.binary(max_size=60), st.integers(0, 80))
+def test_random_marks_of_saturated_pixels(payload: bytes, missing: int) -> None:
+    depth = np.arange(80).reshape(8, 10).astype(np.uint16)
+    depth[depth < missing] = 0
+    for data in (payload, pack_varint(len(compress(payload))) + compress(payload)):
+        try:
+            pixels = SaturatedPixels(ByteReader(data), depth.size)
+            found = pixels.of(depth)
+            pixels.finish()
+        except FormatError:
+            continue
+        assert not found[depth > 0].any()
 
 
 @given(st.binary(max_size=60), st.integers(0, 40))

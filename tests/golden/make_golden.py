@@ -11,18 +11,23 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import threedvc
 from threedvc.config import (
     AppearanceConfig,
     ColorVideo,
+    DepthErrorConfig,
+    DepthErrorKind,
     DepthVideo,
     EncoderConfig,
     Motion,
     SegmentationConfig,
     SegmentationMode,
+    VideoConfig,
+    with_lossless,
 )
 from threedvc.formats.decoding import DecodedFrame
 from threedvc.synthesis import SyntheticSequence, make_scene
@@ -34,19 +39,34 @@ FRAMES = 8
 
 MASKS = SegmentationConfig(mode=SegmentationMode.MASKS)
 THRESHOLD = SegmentationConfig(mode=SegmentationMode.DEPTH, near_m=0.0, far_m=1.2)
-CASES: dict[str, tuple[str, EncoderConfig]] = {
-    "paper": ("paper", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.02, batch_frames=4)),
-    "objects": ("objects", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.02, segmentation=MASKS)),
-    "room": ("room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04)),
-    "room_relief": (
+CAPTURED = EncoderConfig(
+    color_video=ColorVideo.OFF, voxel_size_m=0.1, motion=Motion.KNOWN, refine=False, batch_frames=4, threads=1
+)
+"""Coarse models beside pictures as captured."""
+
+
+class Case(NamedTuple):
+    """A stream: the scene, the choices, the noise of its depth, and how many frames."""
+
+    scene: str
+    config: EncoderConfig
+    noise: str = "ideal"
+    frames: int = FRAMES
+
+
+CASES = {
+    "paper": Case("paper", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.02, batch_frames=4)),
+    "objects": Case("objects", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.02, segmentation=MASKS)),
+    "room": Case("room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04)),
+    "room_relief": Case(
         "room",
         EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.05, appearance=AppearanceConfig(relief_bits=2)),
     ),
-    "paper_picture": (
+    "paper_picture": Case(
         "paper",
         EncoderConfig(color_video=ColorVideo.OFF, motion=Motion.KNOWN, segmentation=THRESHOLD, batch_frames=4),
     ),
-    "depth_video": (
+    "depth_video": Case(
         "room",
         EncoderConfig(
             color_video=ColorVideo.OFF,
@@ -57,7 +77,19 @@ CASES: dict[str, tuple[str, EncoderConfig]] = {
             batch_frames=4,
         ),
     ),
-    "room_live": ("room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04, causal=True, batch_frames=3)),
+    "room_live": Case(
+        "room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04, causal=True, batch_frames=3)
+    ),
+    "room_color_video": Case(
+        "room", replace(CAPTURED, color_video=ColorVideo.ON, video=VideoConfig(coarseness=40)), frames=6
+    ),
+    "room_depth_error": Case(
+        "room",
+        replace(CAPTURED, depth_error=DepthErrorConfig(kind=DepthErrorKind.RELATIVE, size=0.01)),
+        noise="kinect",
+        frames=6,
+    ),
+    "paper_lossless": Case("paper", with_lossless(CAPTURED), noise="kinect", frames=3),
 }
 
 
@@ -93,9 +125,9 @@ def main() -> None:
     """Write everything."""
     folder = FOLDER / threedvc.__version__
     folder.mkdir(exist_ok=True)
-    for name, (scene, config) in CASES.items():
-        sequence = SyntheticSequence(make_scene(scene, frames=FRAMES, size=(64, 48)))
-        threedvc.encode(sequence, folder / f"{name}.3dvc", config, verify=True)
+    for name, case in CASES.items():
+        sequence = SyntheticSequence(make_scene(case.scene, frames=case.frames, size=(64, 48)), case.noise)
+        threedvc.encode(sequence, folder / f"{name}.3dvc", case.config, verify=True)
     for stream in streams():
         text = json.dumps(expectation(stream), indent=2)
         stream.with_suffix(".json").write_text(text + "\n", encoding="utf-8")

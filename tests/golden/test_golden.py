@@ -10,12 +10,18 @@ import pytest
 
 import threedvc
 from golden import make_golden
+from threedvc.coding.video.av1 import can_decode_av1
+from threedvc.coding.video.ffv1 import can_decode_ffv1
 from threedvc.config import RenderConfig
+
+READABLE = {"room_color_video": can_decode_av1(), "paper_lossless": can_decode_ffv1()}
 
 
 @pytest.mark.parametrize("stream", make_golden.streams(), ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_stream_decodes_as_before(stream: Path) -> None:
     expected = json.loads(stream.with_suffix(".json").read_text(encoding="utf-8"))
+    if not READABLE.get(stream.stem, True):
+        pytest.skip("this build of PyAV cannot read its color video")
     assert expected["complete"]
     assert make_golden.expectation(stream) == expected
 

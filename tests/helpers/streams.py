@@ -188,6 +188,7 @@ class FakeDecodedFrame:
     T_camera_object: Mapping[int, Pose]
     sensor: int = 0
     color_timestamp_ns: int | None = None
+    saturated: NDArray[np.bool_] | None = None
 
 
 class FakeStream:

@@ -159,7 +159,8 @@ def test_a_rate_is_kept(kbps: int, sequence: SyntheticSequence) -> None:
         (lambda video: replace(video, payload=b""), "incomplete"),
         (lambda video: replace(video, header=video.header | {"w": 66}), "should have 66x48"),
         (lambda video: replace(video, header=video.header | {"b": 8}), "of 8 bits"),
-        (lambda video: replace(video, header=video.header | {"n": 2}), "should be one of 2"),
+        (lambda video: replace(video, header=video.header | {"n": 2}), "a video of 2 pictures has more"),
+        (lambda video: replace(video, header=video.header | {"b": 9}), "of 9 bits"),
     ],
 )
 def test_damage_is_one_error(
@@ -169,6 +170,24 @@ def test_damage_is_one_error(
     with pytest.raises(CorruptStream, match=message):
         colors(path)
     assert len(colors(path, MODELS)) == FRAMES
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n": 0}, "'n'"),
+        ({"w": 0}, "'w'"),
+        ({"h": 5000}, "'h'"),
+        ({"c": 0}, "'c'"),
+        ({"s": 1}, "names sensor 1, but the stream has 1"),
+        ({"n": 6}, "stands in the BATCH of frames"),
+        ({"f": 3}, "stands in the BATCH of frames"),
+    ],
+)
+def test_headers_that_lie_are_one_error(change: dict[str, int], message: str, packets: list[Packet]) -> None:
+    with pytest.raises(CorruptStream, match=message) as raised:
+        list(Decoder().frames(with_videos(packets, lambda video: replace(video, header=video.header | change))))
+    assert "\n" not in str(raised.value)
 
 
 def test_videos_of_too_many_samples_are_refused(packets: list[Packet]) -> None:
@@ -181,14 +200,14 @@ def test_what_cannot_be_decoded_is_said_and_models_are_drawn(
     path: Path, packets: list[Packet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     newer = written(
-        with_videos(packets, lambda video: replace(video, header=video.header | {"c": 3})), tmp_path / "newer.3dvc"
+        with_videos(packets, lambda video: replace(video, header=video.header | {"c": 200})), tmp_path / "newer.3dvc"
     )
     stream = threedvc.open_stream(newer)
     np.testing.assert_array_equal([frame.color for frame in stream], colors(path, MODELS))
-    assert stream.unread_codecs == {"color": 3}
+    assert stream.unread_codecs == {"color": 200}
     result = CliRunner().invoke(main, ["decode", str(newer), str(tmp_path / "out")])
     assert result.exit_code == 0
-    assert "cannot decode its color video (codec 3)" in result.stderr
+    assert "cannot decode its color video (codec 200)" in result.stderr
     assert "color video" not in CliRunner().invoke(main, ["decode", str(path), str(tmp_path / "other")]).stderr
     monkeypatch.setattr(packet_handlers, "can_decode_av1", lambda: False)
     np.testing.assert_array_equal(colors(path), colors(path, MODELS))

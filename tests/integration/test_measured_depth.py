@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,6 +142,27 @@ def test_damage_is_one_error(payload: bytes, packets: list[Packet], tmp_path: Pa
     assert len(list(threedvc.decode(path, what=frozenset({"color"})))) == FRAMES
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n": 0}, "'n'"),
+        ({"k": 4}, "'k'"),
+        ({"e": -1}, "'e'"),
+        ({"s": 1}, "names sensor 1, but the stream has 1"),
+        ({"n": 2}, "goes on after its end"),
+        ({"n": 5}, "stands in the BATCH of frames"),
+        ({"f": 3}, "stands in the BATCH of frames"),
+        ({"u": True}, "saturated"),
+        ({"u": 1}, "'u'"),
+    ],
+)
+def test_headers_that_lie_are_one_error(change: dict[str, int], message: str, packets: list[Packet]) -> None:
+    changed = with_changed(packets, PacketType.RESIDUAL, lambda packet: replace(packet, header=packet.header | change))
+    with pytest.raises(CorruptStream, match=message) as raised:
+        list(Decoder().frames(changed))
+    assert "\n" not in str(raised.value)
+
+
 def test_runs_of_too_many_samples_are_refused(packets: list[Packet]) -> None:
     header = next(each.header for each in members_of(packets) if each.type == PacketType.RESIDUAL)
     with pytest.raises((CorruptStream, LimitExceeded)):
@@ -171,6 +193,39 @@ def test_lossless_gives_back_every_picture(folder: Path, tmp_path: Path) -> None
             np.testing.assert_array_equal(back, given)
     report = CliRunner().invoke(main, ["stats", stream, "--reference", str(folder)]).stdout
     assert "exact               color lossless, depth lossless\n" in report
+
+
+@pytest.fixture(scope="module")
+def saturated(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write a recording whose sensor says 65535 for some of what it does not measure, and 0 for the rest."""
+    copy = tmp_path_factory.mktemp("saturated") / "room"
+    shutil.copytree(folder, copy)
+    for number, path in enumerate(sorted((copy / "depth").iterdir())):
+        depth = cv2.imread(str(path), -1)
+        depth[:9, : 6 * number] = 65535
+        depth[20:24, 30:] = 0
+        cv2.imwrite(str(path), depth)
+    return copy
+
+
+@pytest.mark.skipif(not can_encode_ffv1(), reason="this build of PyAV has no FFV1")
+@pytest.mark.parametrize(("error", "exact"), [("lossless", True), ("1mm", False)])
+def test_saturated_values_come_back(error: str, exact: bool, saturated: Path, tmp_path: Path) -> None:
+    stream, out = str(tmp_path / "a.3dvc"), tmp_path / "out"
+    options = ["--depth-error", error, "--color-video", "off", "--preset", "fast", "--voxel-size", "6cm"]
+    assert CliRunner().invoke(main, ["encode", str(saturated), stream, *options]).exit_code == 0
+    assert CliRunner().invoke(main, ["decode", stream, str(out)]).exit_code == 0
+    for path in (saturated / "depth").iterdir():
+        given, back = (cv2.imread(str(place), -1) for place in (path, out / "depth" / path.name))
+        np.testing.assert_array_equal(back[back < 65535] > 0, given[back < 65535] % 65535 > 0)
+        assert np.array_equal(back, given) or not exact
+    report = CliRunner().invoke(main, ["stats", stream, "--reference", str(saturated)]).stdout
+    assert ("depth lossless" in report) == exact
+    shown = [frame.depth for frame in threedvc.decode(stream)]
+    assert max(float(depth.max()) for depth in shown) < 10
+    if exact:
+        small = list(threedvc.decode(stream, size=(32, 24)))
+        assert all(frame.saturated is None for frame in small)
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threedvc.coding.bounded_depth import depth_frames
+from threedvc.coding.saturated import SaturatedPixels
 from threedvc.errors import CorruptStream
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse
 from threedvc.render.moved_depth import MovedDepth
+from threedvc.stream.captured_headers import ResidualHeader
+from threedvc.stream.wire import ByteReader
 
 __all__ = ["MeasuredDepth", "MeasuredRun"]
 
@@ -27,10 +30,13 @@ class MeasuredDepth:
         (h, w) uint16 of the depth camera, 0 = not measured.
     depth_scale
         Its units per meter.
+    saturated
+        (h, w) where the largest raw depth stood in place of 0, None: nowhere.
     """
 
     raw: NDArray[np.uint16]
     depth_scale: float
+    saturated: NDArray[np.bool_] | None = None
 
     def shown(self, drawn: NDArray[np.float32], threads: int) -> NDArray[np.float32]:
         """Return the depth (h, w) in meters; pictures of another size keep what is drawn."""
@@ -44,24 +50,34 @@ class MeasuredRun:
 
     Parameters
     ----------
+    header
+        Its header.
     payload
         Its payload.
-    count
-        Number of its frames.
     camera
         The depth camera.
     depth_scale
         Units per meter.
     threads
         Number of threads.
+
+    Raises
+    ------
+    CorruptStream
+        If what is told of saturated pixels is damaged.
     """
 
-    def __init__(self, payload: bytes, count: int, camera: Camera, depth_scale: float, threads: int) -> None:
-        self._depth_scale = depth_scale
+    def __init__(
+        self, header: ResidualHeader, payload: bytes, camera: Camera, depth_scale: float, threads: int
+    ) -> None:
+        self._depth_scale, self._left = depth_scale, header.count
         self._poses: list[Pose] = []
+        reader = ByteReader(payload)
+        pixels = header.count * camera.width * camera.height
+        self._saturated = SaturatedPixels(reader, pixels) if header.saturated else None
         predict = MovedDepth(camera, self._poses, depth_scale, threads)
-        self._frames = depth_frames(payload, camera.width, camera.height, count, predict, threads)
-        self._left = count
+        rest = reader.take(reader.remaining)
+        self._frames = depth_frames(rest, camera.width, camera.height, header.count, predict, threads)
 
     def next(self, T_world_camera: Pose) -> MeasuredDepth | None:
         """Return the depth of the next frame, which was taken from a pose; None after the last one.
@@ -80,4 +96,10 @@ class MeasuredRun:
         raw = next(self._frames)
         if not self._left and next(self._frames, None) is not None:  # its end is checked
             raise CorruptStream("measured depth has more frames than its packet tells; the stream is damaged")
-        return MeasuredDepth(raw, self._depth_scale)
+        saturated = None
+        if self._saturated is not None:
+            found = self._saturated.of(raw)
+            saturated = found if found.any() else None
+            if not self._left:
+                self._saturated.finish()
+        return MeasuredDepth(raw, self._depth_scale, saturated)

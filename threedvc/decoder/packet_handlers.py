@@ -25,6 +25,7 @@ from threedvc.coding.update import decode_update
 from threedvc.coding.video.av1 import can_decode_av1, decode_av1
 from threedvc.coding.video.earlier import EARLIER_BITS, decode_earlier_run, decode_earlier_still
 from threedvc.coding.video.ffv1 import EXACT_BITS, can_decode_ffv1, decode_ffv1
+from threedvc.coding.video.jpeg import decode_jpeg_files
 from threedvc.coding.video.planes import CapturedColor, ExactColor, Samples, ShownColor, VideoFormat
 from threedvc.coding.video.still import decode_still
 from threedvc.decoder.batch_timeline import BatchTimeline, RunFrames, lay_out
@@ -65,6 +66,8 @@ Change: TypeAlias = Callable[[], None]
 FrameChange: TypeAlias = tuple[int, Change]
 Handler: TypeAlias = Callable[[DecoderState, BatchTimeline, Header, bytes], Iterable[FrameChange]]
 H = TypeVar("H", bound=Header)
+EXACT_CODECS: Final = (VideoCodec.FFV1, VideoCodec.JPEG)
+"""Whose pictures are shown as they are."""
 
 
 def changes_by_frame(header: BatchHeader, members: Sequence[Member], state: DecoderState) -> dict[int, list[Change]]:
@@ -275,15 +278,16 @@ def _color_pictures(sensor: SensorState, header: ColorVideoHeader, payload: byte
     )
     if header.codec == VideoCodec.AV1 and can_decode_av1():
         return (CapturedColor(planes=planes, video=video) for planes in decode_av1(payload, header.count, video))
-    if header.codec == VideoCodec.FFV1 and can_decode_ffv1():
-        camera = sensor.rig.color
-        if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=video.gray):
-            raise CorruptStream(
-                f"a video without loss of {video.width}x{video.height} samples of {video.bits} bits must have "
-                f"{camera.width}x{camera.height} of {EXACT_BITS} bits, which are not magnified; the stream is damaged"
-            )
-        return (ExactColor(picture=picture) for picture in decode_ffv1(payload, header.count, video))
-    return None
+    if header.codec not in EXACT_CODECS or (header.codec == VideoCodec.FFV1 and not can_decode_ffv1()):
+        return None
+    camera = sensor.rig.color
+    if video != VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=video.gray):
+        raise CorruptStream(
+            f"a video without loss of {video.width}x{video.height} samples of {video.bits} bits must have "
+            f"{camera.width}x{camera.height} of {EXACT_BITS} bits, which are not magnified; the stream is damaged"
+        )
+    decode = decode_ffv1 if header.codec == VideoCodec.FFV1 else decode_jpeg_files
+    return (ExactColor(picture=picture) for picture in decode(payload, header.count, video))
 
 
 def _show_next(sensor: SensorState, pictures: Iterator[ShownColor]) -> None:
@@ -301,7 +305,7 @@ def _measured_depth(
     if samples > MAX_SEQUENCE_SAMPLES:
         raise LimitExceeded(f"a RESIDUAL of {samples} samples is larger than the {MAX_SEQUENCE_SAMPLES} accepted")
     if state.wanted.depth:
-        measured = MeasuredRun(payload, header.count, camera, sensor.header.depth_scale, state.wanted.threads)
+        measured = MeasuredRun(header, payload, camera, sensor.header.depth_scale, state.wanted.threads)
         yield run.frames[0], partial(sensor.begin_measured_run, measured)
 
 

@@ -31,6 +31,9 @@ class Frame:
         (height, width, 3) uint8 RGB in the color camera; gray input has three equal channels.
     depth
         (height, width) float32 meters along z in the depth camera; 0 = no measurement.
+    saturated
+        (height, width) bool, where the depth picture holds the largest value of 16 bits, which is no measurement, in
+        place of 0; None: nowhere.
     mask
         (height, width) uint8 object labels in the depth camera, 0 = background, or None.
     T_world_camera
@@ -39,6 +42,8 @@ class Frame:
         Known poses of labeled objects, by label.
     color_timestamp_ns
         Time of the color picture where it has a clock of its own, else None.
+    color_file
+        The JPEG file that the color was decoded from, byte for byte, or None.
     sensor
         Which of several sensors took it, from 0.
     together
@@ -50,9 +55,11 @@ class Frame:
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     mask: NDArray[np.uint8] | None = None
+    saturated: NDArray[np.bool_] | None = None
     T_world_camera: Pose | None = None
     T_camera_object: Mapping[int, Pose] = field(default_factory=dict)
     color_timestamp_ns: int | None = None
+    color_file: bytes | None = None
     sensor: int = 0
     synchronized: bool = False
 
@@ -157,6 +164,7 @@ def check_frame(frame: Frame, info: SequenceInfo) -> None:
     for name, picture, channels, camera in (
         ("color", frame.color, (3,), rig.color),
         ("depth", frame.depth, (), rig.depth),
+        ("saturated pixels", frame.depth if frame.saturated is None else frame.saturated, (), rig.depth),
     ):
         if picture.shape != (camera.height, camera.width, *channels):
             raise SequenceError(

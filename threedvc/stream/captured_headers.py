@@ -95,9 +95,12 @@ class ResidualHeader(SensorRunHeader):
         as there is no error.
     bound
         Meters, or a share.
+    saturated
+        Whether it is told which pixels without a measurement hold the largest raw depth in place of 0.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.RESIDUAL
 
     kind: int = key("k", integer(0, 3), default=3)
     bound: float = key("e", number(0.0, 100.0), default=0.0)
+    saturated: bool = key("u", flag(), default=False)

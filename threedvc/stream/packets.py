@@ -62,6 +62,7 @@ class VideoCodec(IntEnum):
 
     AV1 = 1
     FFV1 = 2
+    JPEG = 3
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT})

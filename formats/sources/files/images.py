@@ -11,25 +11,25 @@ import re
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import BinaryIO, Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from threedvc.coding.video.jpeg import FRAME_HEADERS, JPEG_MAGIC, decoded_rgb, parse_jpeg
 from threedvc.errors import SequenceError
 from threedvc.formats.sources.files.text import require_file
 
-__all__ = ["PictureHeader", "read_color", "read_depth", "read_header", "read_mask"]
+__all__ = ["ColorPicture", "PictureHeader", "read_color", "read_depth", "read_header", "read_mask"]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-JPEG_MAGIC = b"\xff\xd8"
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
 """By PNG's color type; a palette counts as three."""
 PNG_PALETTE = 3
 """PNG's color type of a picture with a palette."""
-JPEG_EOI, JPEG_SOS, JPEG_DRI, JPEG_APP1 = 0xD9, 0xDA, 0xDD, 0xE1
-"""Second bytes of JPEG's markers."""
+JPEG_APP1 = 0xE1
+"""Second byte of JPEG's marker of EXIF."""
 EXIF, ORIENTATION_TAG = b"Exif\0\0", 0x0112
 """How an APP1 segment with EXIF begins, and EXIF's tag of the orientation."""
 HEAD_BYTES = 64
@@ -42,6 +42,7 @@ PNG_CHECKSUM_BYTES = 4
 """After the data of each chunk."""
 MAX_EXIF_BYTES = 1 << 16
 """What a JPEG segment can hold, where EXIF comes from."""
+UNDECODABLE = "its content cannot be decoded"
 OTHER_KINDS = (
     (rb"II\*\0|MM\0\*", "TIFF"),
     (rb"\x93NUMPY", "a NumPy array"),
@@ -60,10 +61,6 @@ OTHER_KINDS = (
     (rb"\s*<(!DOCTYPE|html)", "a web page"),
     (rb"$", "an empty file"),
 )
-MARKER = re.compile(rb"\xff[^\x00\xff]")
-MARKER_AFTER_RESTARTS = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
-JPEG_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""Markers SOF0 to SOF15; the three left out stand for tables and extensions."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +92,21 @@ class PictureHeader:
     def size(self) -> tuple[int, int]:
         """Width and height."""
         return self.width, self.height
+
+
+class ColorPicture(NamedTuple):
+    """A color picture.
+
+    Attributes
+    ----------
+    pixels
+        (height, width, 3) uint8 RGB.
+    jpeg
+        The file if it is a JPEG, else None.
+    """
+
+    pixels: NDArray[np.uint8]
+    jpeg: bytes | None
 
 
 def read_header(path: Path) -> PictureHeader:
@@ -155,7 +167,7 @@ def _jpeg_header(path: Path, file: BinaryIO) -> PictureHeader:
     orientation = 1
     while (marker := _jpeg_marker(file)) is not None and len(size := file.read(2)) == 2:
         length = int.from_bytes(size, "big") - 2
-        if marker in JPEG_FRAME_HEADERS and len(body := file.read(6)) == 6:
+        if marker in FRAME_HEADERS and len(body := file.read(6)) == 6:
             height, width = int.from_bytes(body[1:3], "big"), int.from_bytes(body[3:5], "big")
             return PictureHeader(width, height, body[5], body[0], orientation=orientation)
         if length < 0:
@@ -195,16 +207,18 @@ def _tiff_orientation(tiff: bytes) -> int | None:
     return None
 
 
-def read_color(path: Path) -> NDArray[np.uint8]:
-    """Read an 8-bit picture of 1 or 3 channels as (height, width, 3) RGB; alpha is dropped; raises SequenceError."""
-    # Rotation flags are ignored: intrinsics hold for the stored pixels.
-    picture = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+def read_color(path: Path) -> ColorPicture:
+    """Read an 8-bit picture of 1 or 3 channels; alpha is dropped; raises SequenceError."""
+    data = _intact(path)
+    pixels = decoded_rgb(data)
+    if pixels is None:
+        raise _unreadable(path, UNDECODABLE)
+    return ColorPicture(pixels, data if data.startswith(JPEG_MAGIC) else None)
 
 
 def read_depth(path: Path) -> NDArray[np.uint16]:
     """Read a 16-bit picture of 1 channel as (height, width) raw units; raises SequenceError."""
-    picture = _without_alpha(_decode(path, cv2.IMREAD_UNCHANGED))
+    picture = _without_alpha(_decode(path))
     if picture.dtype != np.uint16 or picture.ndim != 2:
         raise _unreadable(path, f"{picture.dtype} with {picture.ndim} axes, expected 16-bit depth")
     return np.asarray(picture, dtype=np.uint16)
@@ -212,7 +226,7 @@ def read_depth(path: Path) -> NDArray[np.uint16]:
 
 def read_mask(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit picture of 1 channel as (height, width) labels; raises SequenceError."""
-    picture = _without_alpha(_decode(path, cv2.IMREAD_UNCHANGED))
+    picture = _without_alpha(_decode(path))
     if picture.dtype != np.uint8 or picture.ndim != 2:
         raise _unreadable(path, f"{picture.dtype} with {picture.ndim} axes, expected 8-bit labels")
     return np.asarray(picture, dtype=np.uint8)
@@ -225,7 +239,19 @@ def _without_alpha(picture: cv2.typing.MatLike) -> cv2.typing.MatLike:
     return picture
 
 
-def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
+def _decode(path: Path) -> cv2.typing.MatLike:
+    data = _intact(path)
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise _unreadable(path, UNDECODABLE)
+    return picture
+
+
+def _intact(path: Path) -> bytes:
+    """Return the bytes of a file that is complete."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -233,13 +259,7 @@ def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
     defect = _png_defect(data) if data.startswith(PNG_MAGIC) else _jpeg_defect(data)
     if defect:
         raise _unreadable(path, defect)
-    try:
-        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-    except cv2.error:
-        picture = None
-    if picture is None:
-        raise _unreadable(path, "its content cannot be decoded")
-    return picture
+    return data
 
 
 def _png_defect(data: bytes) -> str | None:
@@ -259,27 +279,11 @@ def _png_defect(data: bytes) -> str | None:
 def _jpeg_defect(data: bytes) -> str | None:
     if not data.startswith(JPEG_MAGIC):
         return "neither PNG nor JPEG"
-    position, restarts = 2, False
-    while position + 2 <= len(data):
-        if data[position] != 0xFF:
-            return f"damaged JPEG at byte {position}"
-        marker = data[position + 1]
-        if marker == 0xFF:
-            position += 1
-            continue
-        if marker == JPEG_EOI:
-            return None
-        restarts = restarts or marker == JPEG_DRI
-        position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
-        if marker == JPEG_SOS:
-            position = _end_of_scan(data, position, restarts)
-    return f"truncated JPEG of {len(data)} bytes"
-
-
-def _end_of_scan(data: bytes, position: int, restarts: bool) -> int:
-    """Return where the entropy-coded bytes that begin at `position` end: at the next marker."""
-    marker = (MARKER_AFTER_RESTARTS if restarts else MARKER).search(data, position)
-    return marker.start() if marker else len(data)
+    try:
+        parse_jpeg(data)
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 def _unreadable(path: Path, why: str) -> SequenceError:

@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from reference.bounded_depth import read_depth
 from threedvc.coding.bounded_depth import Predict, decode_depth_frames, encode_depth_frames
 from threedvc.coding.depth_bound import BoundKind, DepthBound, coarse_values, distinct_depths, fine_values
+from threedvc.coding.entropy.range_coder import RangeWriter, new_counters
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
+from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 from threedvc.limits import MAX_SEQUENCE_SAMPLES
+from threedvc.stream.wire import pack_varint
 
 Raw = NDArray[np.uint16]
 LOSSLESS = DepthBound(kind=BoundKind.LOSSLESS)
@@ -236,6 +239,33 @@ def test_short_payloads_cause_no_long_work(fill: int) -> None:
     hostile = bytes([20]) + bytes([fill]) * 20 + bytes([4]) + bytes([fill]) * 4
     with pytest.raises(CorruptStream):
         decode_depth_frames(hostile, 4096, 4096, 4)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ([65536], "a table of 65536 depths"),
+        ([2, 9, 65535], "a depth of 65546"),
+        ([1, 9, 65, 1], "memory 65"),
+        ([1, 9, 12, 0], "coded depth of 0 slices"),
+        ([1, 9, 12, 17], "coded depth of 17 slices"),
+        ([1, 9, 12, 3], "3 slices of 2 rows"),
+    ],
+)
+def test_heads_that_lie_are_noticed(numbers: list[int], message: str) -> None:
+    head = RangeWriter()
+    count, *rest = numbers
+    head.number(count, new_counters(NUMBER_COUNTERS))
+    gap, gaps = 0, [new_counters(NUMBER_COUNTERS) for _ in range(8)]
+    for value in rest[:count]:
+        head.number(value, gaps[min(gap, 7)])
+        gap = value + 1
+    settings = new_counters(NUMBER_COUNTERS)
+    for value in rest[count:]:
+        head.number(value, settings)
+    data = head.finish()
+    with pytest.raises(CorruptStream, match=message):
+        decode_depth_frames(pack_varint(len(data)) + data, 4, 2, 1)
 
 
 @pytest.mark.parametrize("bound", BOUNDS[2:])

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Runs of pictures predicted from each other: their samples, and AV1 as their coder."""
+"""Runs of pictures: their samples, and what codes them: AV1, FFV1, or the JPEG files that they came in."""

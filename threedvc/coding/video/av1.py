@@ -122,7 +122,9 @@ def encode_av1(pictures: Iterable[Planes], video: VideoFormat, settings: Av1Sett
         packets += map(bytes, context.encode(_frame(planes, context, number)))
     packets += map(bytes, context.encode(None))
     try:
-        return pack_units(packets)
+        payload = pack_units(packets)
+        unpack_units(payload)
+        return payload
     except (ValueError, CorruptStream) as error:
         raise UnsupportedVersion(f"this build of PyAV writes AV1 of an unusual make: {error}") from None
 
@@ -163,7 +165,7 @@ def decode_av1(payload: bytes, count: int, video: VideoFormat) -> Iterator[Plane
     UnsupportedVersion
         If this build of PyAV cannot read it.
     """
-    header, pictures = unpack_units(payload)
+    header, pictures = unpack_units(payload, count)
     found = read_sequence_header(header)
     if len(pictures) != count:
         raise CorruptStream(f"a video of {len(pictures)} pictures should be one of {count}; the stream is damaged")
@@ -207,6 +209,8 @@ def decode_pictures(pictures: Sequence[bytes], found: SequenceFormat) -> Iterato
 def _decoded(name: str, pictures: Sequence[bytes], found: SequenceFormat) -> Iterator[list[Samples]]:
     context: Any = av.CodecContext.create(name, "r")
     context.thread_count = DECODER_THREADS
+    # A frame may say that it is larger than the sequence header tells.
+    context.options = {"max_pixels": str(found.width * found.height)}
     count = 0
     try:
         for data in [*pictures, None]:

@@ -8,10 +8,12 @@ bitstream specification.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
+from threedvc.coding.video.parts import pack_parts
 from threedvc.errors import CorruptStream
+from threedvc.limits import MAX_COUNT
 from threedvc.stream.wire import ByteReader, pack_varint
 
 __all__ = [
@@ -33,6 +35,9 @@ STILL_BITS, STILL = 5, 0b00011
 """Of a sequence header of one picture in its short form: profile 0, a still picture, and that the form is short."""
 MAX_UNTIERED_LEVEL = 7
 """Levels above are followed by a bit for the tier."""
+MAX_PICTURE_UNITS = 32
+"""Units of a picture, shown or not yet: there are places for eight frames that are shown later, and encoders fill six
+before they show one (decision 0030). Units of two bytes each would take fifty times their size in memory."""
 SELECTED = 2
 """What a tool is set to if each frame tells whether it uses it."""
 
@@ -98,10 +103,10 @@ def pack_units(packets: Iterable[bytes]) -> bytes:
                 raise ValueError(f"a unit 0x{kind:02x} of AV1 data cannot stand in a payload")
     if len(headers) != 1:
         raise ValueError(f"a run of pictures has {len(headers)} sequence headers; it must have one")
-    return b"".join(pack_varint(len(body) - 1) + body for body in [*headers, *frames])
+    return pack_parts([*headers, *frames])
 
 
-def unpack_units(payload: bytes) -> tuple[bytes, list[bytes]]:
+def unpack_units(payload: bytes, most: int = MAX_COUNT) -> tuple[bytes, list[bytes]]:
     """Return the sequence header's body, and for every picture in turn its units as a decoder takes them.
 
     The header stands before the first picture's. Sizes in AV1 data are written as varints are (leb128).
@@ -109,30 +114,36 @@ def unpack_units(payload: bytes) -> tuple[bytes, list[bytes]]:
     Raises
     ------
     CorruptStream
-        If units are cut short, there is none, or a frame at the end is not shown.
+        If units are cut short, there is none, a frame at the end is not shown, a picture has more than
+        `MAX_PICTURE_UNITS`, or there are more than `most` pictures.
     """
-    header, *frames = _bodies(payload)
-    pictures, units = [], [_unit(SEQUENCE_HEADER, header)]
-    for frame in frames:
+    bodies = _bodies(payload)
+    header = next(bodies)
+    pictures, units = list[bytes](), list[bytes]()
+    for frame in bodies:
         units.append(_unit(FRAME_HEADER if frame[0] & SHOWS_EARLIER else FRAME, frame))
+        if len(units) > MAX_PICTURE_UNITS or len(pictures) == most:
+            raise CorruptStream(
+                f"a video of {most} pictures has more, or one of more than {MAX_PICTURE_UNITS} units; the stream is "
+                "damaged"
+            )
         if frame[0] & (SHOWS_EARLIER | SHOWN):
             pictures.append(b"".join(units))
             units = []
     if units:
         raise CorruptStream("a video ends with a frame that is not shown; the stream is damaged")
-    return header, pictures
+    return header, [_unit(SEQUENCE_HEADER, header) + first for first in pictures[:1]] + pictures[1:]
 
 
-def _bodies(payload: bytes) -> list[bytes]:
-    """Return what units hold: at least one, and none empty."""
+def _bodies(payload: bytes) -> Iterator[bytes]:
+    """Yield what units hold: at least one, and none empty."""
     reader = ByteReader(payload)
-    bodies: list[bytes] = []
     try:
-        while reader.remaining or not bodies:
-            bodies.append(reader.take(reader.varint() + 1))
+        yield reader.take(reader.varint() + 1)
+        while reader.remaining:
+            yield reader.take(reader.varint() + 1)
     except CorruptStream as error:
         raise CorruptStream(f"a video is incomplete: {error}; the stream is damaged") from None
-    return bodies
 
 
 def _unit(kind: int, body: bytes) -> bytes:

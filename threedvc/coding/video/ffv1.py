@@ -20,11 +20,11 @@ import numpy as np
 from av.error import FFmpegError
 from numpy.typing import NDArray
 
+from threedvc.coding.video.parts import pack_parts, unpack_parts
 from threedvc.coding.video.planes import Picture, VideoFormat
 from threedvc.errors import CorruptStream, UnsupportedVersion
 from threedvc.limits import MAX_COUNT
 from threedvc.parallel import default_threads
-from threedvc.stream.wire import ByteReader, pack_varint
 
 __all__ = ["EXACT_BITS", "can_decode_ffv1", "can_encode_ffv1", "decode_ffv1", "encode_ffv1"]
 
@@ -99,7 +99,7 @@ def encode_ffv1(pictures: Iterable[Picture], video: VideoFormat, threads: int) -
     for number, picture in enumerate(pictures):
         coded += map(bytes, context.encode(_frame(picture, video, number)))
     coded += map(bytes, context.encode(None))
-    return b"".join(pack_varint(len(part) - 1) + part for part in [bytes(context.extradata), *coded])
+    return pack_parts([bytes(context.extradata), *coded])
 
 
 def _layout(video: VideoFormat) -> str:
@@ -141,23 +141,11 @@ def decode_ffv1(payload: bytes, count: int, video: VideoFormat) -> Iterator[Pict
     UnsupportedVersion
         If this build of PyAV cannot read it.
     """
-    record, *pictures = _parts(payload, count)
+    record, *pictures = unpack_parts(payload, count + 1, count)
     slices = max((_checked_slices(number, data) for number, data in enumerate(pictures)), default=1)
     if not can_decode_ffv1():
         raise UnsupportedVersion("this build of PyAV cannot read FFV1; install av 14 or newer")
     return _decoded(record, pictures, video, min(slices, default_threads()))
-
-
-def _parts(payload: bytes, count: int) -> list[bytes]:
-    """Return the configuration record and so many pictures."""
-    reader = ByteReader(payload)
-    try:
-        parts = [reader.take(reader.varint() + 1) for _ in range(count + 1)]
-    except CorruptStream as error:
-        raise CorruptStream(f"a video of {count} pictures is incomplete: {error}; the stream is damaged") from None
-    if reader.remaining:
-        raise CorruptStream(f"{reader.remaining} bytes follow a video of {count} pictures; the stream is damaged")
-    return parts
 
 
 def _checked_slices(number: int, data: bytes) -> int:

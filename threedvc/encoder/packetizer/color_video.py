@@ -12,6 +12,7 @@ import numpy as np
 
 from threedvc.coding.video.av1 import Av1Settings, encode_av1
 from threedvc.coding.video.ffv1 import EXACT_BITS, encode_ffv1
+from threedvc.coding.video.jpeg import encode_jpeg_files
 from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_magnification
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.reconstruction.scene import Scene
@@ -139,17 +140,22 @@ class ColorVideoWriter:
         return header.packet(encode_av1(self._planes(run.frames, video), video, settings), critical=False)
 
     def _exact_packet(self, run: _Run) -> Packet:
+        """Return the packet of a lossless video: of the JPEG files that all pictures came in, or else of FFV1."""
         camera, gray = self._scene.info.rigs[run.sensor].color, self._scene.info.gray
         video = VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=gray)
+        frames = (self._frames[number] for number in run.frames)
+        files = encode_jpeg_files(((frame.color_file, frame.color) for frame in frames), video)
         header = ColorVideoHeader(
             frame=run.frames[0],
             count=len(run.frames),
             sensor=run.sensor,
             columns=video.width,
             rows=video.height,
-            codec=VideoCodec.FFV1,
+            codec=VideoCodec.FFV1 if files is None else VideoCodec.JPEG,
             bits=video.bits,
         )
+        if files is not None:
+            return header.packet(files, critical=False)
         pictures = (self._frames[number].color for number in run.frames)
         return header.packet(encode_ffv1(pictures, video, self._scene.config.threads), critical=False)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from threedvc.coding.bounded_depth import encode_depth_frames
 from threedvc.coding.depth_bound import BoundKind, DepthBound, distinct_depths
+from threedvc.coding.saturated import pack_saturated
 from threedvc.config import DepthErrorConfig, DepthErrorKind
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.reconstruction.scene import Scene
@@ -92,7 +93,9 @@ class _SensorDepth:
 
     def packet(self, numbers: Sequence[int], T_camera_scene: Sequence[Pose]) -> Packet:
         """Return the packet of some frames, with the poses of the scene before the camera as decoded."""
-        raw = [self._raw(number) for number in numbers]
+        raw, marks = zip(*map(self._measured, numbers), strict=True)
+        exact = self._wanted.kind is DepthErrorKind.LOSSLESS
+        saturated = pack_saturated(raw, marks) if exact else b""
         predict = MovedDepth(self._camera, T_camera_scene, self._scale, self._threads)
         payload = encode_depth_frames(raw, _bound(self._wanted, self._scale), predict, self._threads, self._levels)
         header = ResidualHeader(
@@ -101,12 +104,17 @@ class _SensorDepth:
             sensor=self._sensor,
             kind=KINDS[self._wanted.kind][0],
             bound=self._wanted.size,
+            saturated=len(saturated) > 0,
         )
-        return header.packet(payload, critical=False)
+        return header.packet(saturated + payload, critical=False)
 
     def _raw(self, number: int) -> NDArray[np.uint16]:
-        """Return the depth of a frame in the units of its pictures."""
-        return np.rint(self._frames[number].depth.astype(np.float64) * self._scale).astype(np.uint16)
+        return self._measured(number)[0]
+
+    def _measured(self, number: int) -> tuple[NDArray[np.uint16], NDArray[np.bool_] | None]:
+        """Return the depth of a frame in the units of its pictures, and where it is saturated."""
+        frame = self._frames[number]
+        return np.rint(frame.depth.astype(np.float64) * self._scale).astype(np.uint16), frame.saturated
 
 
 def _bound(wanted: DepthErrorConfig, depth_scale: float) -> DepthBound:

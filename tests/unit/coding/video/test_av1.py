@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
+from base64 import b64decode
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,6 +22,12 @@ pytestmark = pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV
 
 SIZE = VideoFormat(width=70, height=50, bits=10)
 COUNT = 9
+LARGER = b64decode(
+    "DAAAAAf4AigBiJXygICcARIAAfwA/IXAAAAAAIBfOHb9woU455IbJSRNHfmDQETepY5dd+rVeFeM3+GqhtxV37+wuiVu26V3GwhXGnM0MwraQD/h"
+    "XC3hl1Z+ZzQBIn7/Gtvd1412ZdH0MevObVnapgtGfJK2YBcpWvOg4yLw19I+8wOgnwRyYJB5xgwBr8QwfQqbxRTCP/qwnxw6TpVf/Syt1m5DNx/7"
+    "bHT8nLg="
+)
+"""A video whose sequence header says 70x50, and its frame 128x64."""
 
 
 def moving(video: VideoFormat, count: int) -> list[Planes]:
@@ -123,10 +131,25 @@ def test_no_damage_does_worse_than_spoil_pictures(payload: bytes) -> None:
     assert refused > 20
 
 
-@pytest.mark.parametrize("count", [0, 1, COUNT - 1, COUNT + 1, 1 << 20])
-def test_another_number_of_pictures_is_refused(payload: bytes, count: int) -> None:
+@pytest.mark.parametrize("count", [COUNT + 1, 1 << 20])
+def test_missing_pictures_are_noticed(payload: bytes, count: int) -> None:
     with pytest.raises(CorruptStream, match=f"a video of 9 pictures should be one of {count}"):
         decode_av1(payload, count, SIZE)
+
+
+@pytest.mark.parametrize("count", [0, 1, COUNT - 1])
+def test_more_pictures_are_noticed(payload: bytes, count: int) -> None:
+    with pytest.raises(CorruptStream, match=f"a video of {count} pictures has more"):
+        decode_av1(payload, count, SIZE)
+
+
+@pytest.mark.parametrize("unit", [b"\0\x10", b"\0\0"], ids=["shown", "not shown"])
+def test_many_small_units_are_not_read_to_their_end(payload: bytes, unit: bytes) -> None:
+    tracemalloc.start()
+    with pytest.raises(CorruptStream, match="or one of more than 32 units"):
+        decode_av1(payload + unit * (1 << 20), COUNT, SIZE)
+    assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize(("width", "height", "bits"), [(72, 50, 10), (70, 48, 10), (50, 70, 10), (70, 50, 8)])
@@ -142,6 +165,11 @@ def test_frames_of_another_size_are_refused(payload: bytes) -> None:
     mixed = pack_units([b"\x0a" + pack_varint(len(header)) + header, *frames])
     with pytest.raises(CorruptStream, match="the stream is damaged"):
         decoded(mixed)
+
+
+def test_frames_that_say_they_are_larger_are_refused() -> None:
+    with pytest.raises(CorruptStream, match="picture 0 of a video cannot be decoded"):
+        decoded(LARGER, 1)
 
 
 def test_a_missing_frame_is_refused(payload: bytes) -> None:

@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -168,6 +169,19 @@ def test_depth_that_16_bits_cannot_hold_is_no_measurement(tmp_path: Path) -> Non
     assert np.array_equal(read.depth[1:], depth[1:])
 
 
+def test_saturated_pixels_are_written_as_such(tmp_path: Path) -> None:
+    given = frames(2)
+    depth = given[0].depth.copy()
+    depth[:3] = 0
+    marks = np.zeros(depth.shape, dtype=np.bool_)
+    marks[2:5] = True
+    sequence = written(tmp_path, [replace(given[0], depth=depth, saturated=marks), given[1]])
+    raw = cv2.imread(str(tmp_path / "depth" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    assert [int((raw[row] == 65535).sum()) for row in range(4)] == [0, 0, raw.shape[1], 0]
+    assert np.array_equal(sequence[0].depth, depth)
+    assert sequence[1].saturated is None
+
+
 def test_arrays_may_be_reused_after_write(tmp_path: Path) -> None:
     given = frames()
     buffers = [given[0].color.copy(), given[0].depth.copy(), np.zeros((48, 64), np.uint8)]
@@ -204,7 +218,7 @@ def test_only_what_is_asked_for(tmp_path: Path, what: set[str]) -> None:
     assert {path.name for path in tmp_path.iterdir() if path.is_dir()} == {folders[part] for part in what}
 
 
-@pytest.mark.parametrize(("what", "named"), [({"color", "depth"}, "color"), (set(), "")])
+@pytest.mark.parametrize(("what", "named"), [({"sound", "depth"}, "sound"), (set(), "")])
 def test_unknown_part(tmp_path: Path, what: set[str], named: str) -> None:
     with pytest.raises(ConfigError) as caught:
         PlainSink(tmp_path, INFO, what=what)

@@ -137,7 +137,9 @@ def test_fill_bytes_before_jpeg_markers(tmp_path: Path, fill: bytes) -> None:
     path = tmp_path / "filled.jpg"
     path.write_bytes(data[:tables] + fill + data[tables:])
     assert read_header(path).size == (64, 48)
-    assert np.array_equal(read_color(path), cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1])
+    assert np.array_equal(
+        read_color(path).pixels, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    )
 
 
 @pytest.mark.parametrize("alpha", [0, 500, 65535])

@@ -216,6 +216,10 @@ def test_seven_scenes(tmp_path: Path) -> None:
     assert np.array_equal(sequence.info.rig.T_color_depth, identity())
     assert not sequence[1].depth[:20, :10].any()
     assert sequence[1].depth[20:].all()
+    saturated = sequence[1].saturated
+    assert saturated is not None
+    assert saturated[:10, :10].all()
+    assert np.count_nonzero(saturated) == 100
     check_geometry(sequence, 0.003)
 
 

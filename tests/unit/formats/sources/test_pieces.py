@@ -159,7 +159,7 @@ def test_color_is_rgb_without_alpha_and_never_turned(tmp_path: Path) -> None:
     path = tmp_path / "übung.png"
     rgba = np.dstack([rgb[..., ::-1], np.full((2, 3), 7, np.uint8)])
     path.write_bytes(cv2.imencode(".png", rgba)[1].tobytes())
-    assert np.array_equal(read_color(path), rgb)
+    assert np.array_equal(read_color(path).pixels, rgb)
 
 
 def test_jpeg_rotation_flag_is_ignored(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_jpeg_rotation_flag_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "turned.jpg"
     path.write_bytes(data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + data[2:])
     assert read_header(path).size == (16, 8)
-    assert read_color(path).shape == (8, 16, 3)
+    assert read_color(path).pixels.shape == (8, 16, 3)
 
 
 def test_restart_markers_are_no_damage(tmp_path: Path) -> None:
@@ -177,14 +177,14 @@ def test_restart_markers_are_no_damage(tmp_path: Path) -> None:
     path = tmp_path / "restarts.jpg"
     path.write_bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_RST_INTERVAL, 2])[1].tobytes())
     assert b"\xff\xd0" in path.read_bytes()
-    assert read_color(path).shape == picture.shape
+    assert read_color(path).pixels.shape == picture.shape
 
 
 def test_progressive_jpeg_with_bytes_behind_it(tmp_path: Path) -> None:
     picture = color_picture(SMALL, poses(1)[0])
     path = tmp_path / "progressive.jpg"
     path.write_bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes() + b"\xff\xd8 more")
-    assert read_color(path).shape == picture.shape
+    assert read_color(path).pixels.shape == picture.shape
 
 
 def test_reading_the_wrong_kind(tmp_path: Path) -> None:
@@ -233,7 +233,7 @@ def test_damage_is_an_error_or_harmless(tmp_path: Path, rng: np.random.Generator
         path.write_bytes(damaged[: rng.integers(1, len(sound) + 1)].tobytes())
         with suppress(SequenceError):
             if read_header(path).size == (SMALL.width, SMALL.height):
-                assert read_color(path).shape == (SMALL.height, SMALL.width, 3)
+                assert read_color(path).pixels.shape == (SMALL.height, SMALL.width, 3)
 
 
 def recording(folder: Path, count: int) -> Recording:
