@@ -74,7 +74,7 @@ def test_depth_is_shown_as_filmed_or_of_the_models(tmp_path: Path) -> None:
     assert run("synth", tmp_path / "room", "--scene", "room", "--frames", "5", "--size", "64x48").exit_code == 0
     options = ["--depth-video", "on", "--preset", "fast", "--voxel-size", "10cm", "--verify"]
     assert run("encode", tmp_path / "room", stream, *options).exit_code == 0
-    assert json.loads(run("stats", stream, "--json").stdout)["packets"]["VIDEO"]["count"] == 1
+    assert json.loads(run("stats", stream, "--json").stdout)["packets"]["DEPTH_VIDEO"]["count"] == 1
     shares = {}
     for source in ("filmed", "models"):
         folder = tmp_path / source

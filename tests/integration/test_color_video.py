@@ -89,7 +89,7 @@ def test_every_batch_has_a_video_and_no_colors(packets: list[Packet]) -> None:
     assert [(header.frame, header.count) for header in headers] == [(0, 5), (5, 3)]
     assert {(header.columns, header.rows, header.bits) for header in headers} == {(64, 48, 10)}
     assert not any(each.critical for each in members if each.type == PacketType.COLOR_VIDEO)
-    of_colors = {"GAIN", "SHIFT", "TEXTURE", "BACKDROP", "FILTER", "LIGHT"}
+    of_colors = {"GAIN", "SHIFT", "TEXTURE", "BACKDROP", "BACKGROUND", "FILTER", "LIGHT"}
     assert not of_colors & {type_name(each.type) for each in members}
 
 
@@ -240,7 +240,7 @@ def test_depth_that_bends_has_a_video_too(tmp_path: Path) -> None:
     for rate in (None, 200_000):
         packets = list(Encoder(bent.info, replace(config, bitrate_bps=rate)).packets(bent))
         kinds = {type_name(each.type) for each in members_of(packets)}
-        assert kinds >= {"VIDEO", "COLOR_VIDEO"}
+        assert kinds >= {"DEPTH_VIDEO", "COLOR_VIDEO"}
         assert rate is None or stream_bytes(packets) <= rate / 8 * 4 / bent.info.fps
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Runs of pictures as AV1, written by SVT-AV1 and read by dav1d, or what else PyAV brings.
 
-AV1 decodes to the same samples everywhere; what these mean is told elsewhere. The encoder is set to the least squared
-error. A payload depends neither on the number of threads nor on what else runs.
+AV1 decodes to the same samples everywhere; what these mean is told elsewhere. For color the encoder is set to the least
+squared error. A payload depends neither on the number of threads nor on what else runs.
 """
 
 from __future__ import annotations
