@@ -415,7 +415,8 @@ def test_other_views_show_the_models(tmp_path: Path) -> None:
     np.testing.assert_array_equal(alone[3], models[3])
     np.testing.assert_allclose(again[3], models[3], atol=1e-3)
     larger = [frame.depth for frame in threedvc.decode(path, size=(192, 144))]
-    assert np.mean(np.abs(larger[3][::2, ::2] - film[3]) < 0.01 * film[3]) > 0.9
+    halved = larger[3].reshape(72, 2, 96, 2).mean((1, 3))
+    assert np.mean(np.abs(halved - film[3]) < 0.01 * film[3]) > 0.9
 
 
 @with_video

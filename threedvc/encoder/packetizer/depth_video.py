@@ -78,6 +78,11 @@ class DepthVideoChoice(NamedTuple):
     pictures: PictureFormat
     least_misfit: float = 0.0
 
+    def magnified(self, pictures: PictureFormat) -> DepthVideoChoice:
+        """Return the choice of about the same places in larger pictures, whose tiles are smaller."""
+        smaller = self.pictures.columns * self.pictures.rows / (pictures.columns * pictures.rows)
+        return DepthVideoChoice(pictures, self.least_misfit * smaller)
+
     def tiles(self, misfits: NDArray[np.float64]) -> NDArray[np.bool_] | None:
         """Return which tiles of `tile_misfits` are shown, None for all: also where too many would have to be told."""
         if not self.least_misfit or misfits.size > 8 * MAX_TILE_BYTES:
@@ -241,6 +246,9 @@ class DepthVideoTrial:
                 break
         for misfit in self._tile_misfits(most().pictures) if not sure else ():
             gain(most()._replace(least_misfit=misfit))
+        if most().least_misfit:
+            for scale in SCALES[1:]:
+                gain(most().magnified(self._format(scale)))
         if gains[most()] < HOPELESS_GAIN and not sure:
             return None
         middle = most()
