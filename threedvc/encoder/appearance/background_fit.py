@@ -84,7 +84,7 @@ class _DepthMapTrial:
     def __init__(self, state: FitState) -> None:
         self._threads, self._pose = state.threads, state.scene.objects[0].poses[0]
         self._camera, self._caster = state.scene.info.rig.depth, state.depth_caster(0)
-        self._cell_bytes = _cell_bytes(state)
+        self._cell_bytes, self._depth_weight = _cell_bytes(state), state.scene.config.depth_weight
         self._measured = [self._background_depth(state, frame) for frame in sampled_frames(state.frames)]
         self._misfit, self._wrong = self._misfit_and_wrong(state.colors.models[0])
 
@@ -101,7 +101,7 @@ class _DepthMapTrial:
         misfit, wrong = self._misfit_and_wrong(model)
         if misfit > MISFIT_TOLERANCE * self._misfit or wrong > self._wrong + WRONG_TOLERANCE:
             return inf
-        return GEOMETRY_SHARE * size / self._cell_bytes + weighed_misfit(misfit)
+        return GEOMETRY_SHARE * size / self._cell_bytes + weighed_misfit(misfit, self._depth_weight)
 
     def _background_depth(self, state: FitState, frame: int) -> Floats:
         """Return what a frame measures (n,) where no object is drawn, 0 elsewhere."""

@@ -43,7 +43,7 @@ def rate_distortion_at(
     state = FitState(scene, frames, shifts, TRIAL_SAMPLES)
     fit_colors(state)
     sizes, errors = zip(*(_coded(state, step) for step in TRIAL_STEPS), strict=True)
-    return error_at(budget_bytes, sizes, errors) + weighed_misfit(geman_mcclure_error(_drawn_and_measured(state)))
+    return error_at(budget_bytes, sizes, errors) + _weighed_depth_misfit(state)
 
 
 def least_color_error(scene: Scene, frames: FrameSequence) -> float:
@@ -53,14 +53,18 @@ def least_color_error(scene: Scene, frames: FrameSequence) -> float:
     return log_color_error(state)
 
 
+def _weighed_depth_misfit(state: FitState) -> float:
+    return weighed_misfit(geman_mcclure_error(_drawn_and_measured(state)), state.scene.config.depth_weight)
+
+
 def depth_misfit(scene: Scene, frames: FrameSequence) -> float:
     """Return the `shown_depth_error` of what is drawn of a scene's frames."""
     return shown_depth_error(_drawn_and_measured(FitState(scene, frames, None, TRIAL_SAMPLES)))
 
 
-def weighed_misfit(misfit: float) -> float:
-    """Return a depth's `geman_mcclure_error` as it counts beside the logarithm of the squared error of colors."""
-    return DEPTH_SHARE * float(np.log(misfit + MIN_MISFIT))
+def weighed_misfit(misfit: float, depth_weight: float) -> float:
+    """Return a depth's misfit as it counts beside the logarithm of the squared error of models' colors."""
+    return depth_weight * DEPTH_SHARE * float(np.log(misfit + MIN_MISFIT))
 
 
 def _coded(state: FitState, luma_step: float) -> tuple[int, float]:

@@ -7,7 +7,7 @@ measure by which cells are chosen: the logarithm of the depth's misfit against t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf
 from typing import NamedTuple
@@ -144,6 +144,7 @@ def choose_depth_video(
     frames: FrameSequence,
     packets: Sequence[Packet],
     cost: ColorCost,
+    misfit_cost: Callable[[float], float],
     group: int,
     *,
     sure: bool,
@@ -160,6 +161,8 @@ def choose_depth_video(
         The stream without a video.
     cost
         What bytes cost that a video takes.
+    misfit_cost
+        What a misfit of depth costs beside that.
     group
         Frames of a BATCH, no run of pictures crosses its end.
     sure
@@ -176,7 +179,7 @@ def choose_depth_video(
         own = _SensorFrames(
             scene=scene, frames=frames, packets=packets, sensor=sensor, seeing=seeing, batch_frames=group
         )
-        choice = DepthVideoTrial(own, cost).best(sure=sure)
+        choice = DepthVideoTrial(own, cost, misfit_cost).best(sure=sure)
         if choice is not None:
             videos += DepthVideoWriter(own).packets(choice)
     max_bytes = inf if cost.budget_bytes is None else MAX_RATE_SHARE * cost.budget_bytes
@@ -208,13 +211,13 @@ class DepthVideoTrial:
     ----------
     own
         The sensor's frames.
-    cost
-        What bytes cost.
+    cost, misfit_cost
+        What bytes and a misfit of depth cost.
     """
 
-    def __init__(self, own: _SensorFrames, cost: ColorCost) -> None:
+    def __init__(self, own: _SensorFrames, cost: ColorCost, misfit_cost: Callable[[float], float]) -> None:
         self._threads = own.scene.config.threads
-        self._cost, self._weight = cost, own.scene.config.depth_weight
+        self._cost, self._misfit_cost = cost, misfit_cost
         self._part = len(own.seeing) / len(own.frames)
         first = max(0, (len(own.seeing) - TRIAL_FRAMES) // 2)
         numbers = own.seeing[first : first + TRIAL_FRAMES]
@@ -289,8 +292,8 @@ class DepthVideoTrial:
         if budget is not None and video_bytes > MAX_RATE_SHARE * budget:
             return -inf
         dearer = self._cost.at(video_bytes) - self._cost.at(0)
-        better = self._misfit - self._misfit_with(self._shown(run, choice.pictures))
-        return self._weight * self._part * better - dearer
+        shown = self._misfit_with(self._shown(run, choice.pictures))
+        return self._part * (self._misfit_cost(self._misfit) - self._misfit_cost(shown)) - dearer
 
     def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
         """Return what a decoder shows by a run instead of the depth drawn of some frames, by their place in it."""

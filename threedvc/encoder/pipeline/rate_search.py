@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from threedvc.config import DepthErrorKind, DepthVideo, EncoderConfig, with_step
+from threedvc.encoder.appearance.rate_distortion import weighed_misfit
 from threedvc.encoder.packetizer.depth_video import choose_depth_video
 from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fit_post_filter
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
-from threedvc.encoder.rate.objective import ColorCost
+from threedvc.encoder.rate.objective import ColorCost, objective
 from threedvc.encoder.rate.rate_control import (
     CLOSE,
     MAX_STEP_RATIO,
@@ -87,8 +89,11 @@ def depth_videos(
     if mode is DepthVideo.OFF or (mode is DepthVideo.AUTO and not state.config.refine):
         return []
     wanted = mode is DepthVideo.ON
+    weight = state.config.depth_weight
+    misfit_cost: Callable[[float], float] = partial(objective, 0.0, depth_weight=weight)
     if cost is None:
+        misfit_cost = partial(weighed_misfit, depth_weight=weight)
         budget = stream_budget(state)
         size = float(stream_bytes(packets)) if budget is None else budget
         cost = ColorCost.of_slope(size, SHARE_PER_BYTE, fixed=budget is not None)
-    return choose_depth_video(state.scene, frames, packets, cost, builder.batch_frames, sure=wanted)
+    return choose_depth_video(state.scene, frames, packets, cost, misfit_cost, builder.batch_frames, sure=wanted)

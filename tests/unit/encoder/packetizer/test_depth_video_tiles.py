@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from operator import mul
+
 import numpy as np
 import pytest
 
@@ -75,7 +78,7 @@ def test_a_video_is_shown_where_something_bends() -> None:
     encoder = Encoder(sequence.info, config)
     packets = list(encoder.packets(sequence))
     cost = ColorCost.of_slope(20_000.0, 1.5, fixed=True)
-    video, *others = choose_depth_video(encoder.scene, sequence, packets, cost, 60, sure=False)
+    video, *others = choose_depth_video(encoder.scene, sequence, packets, cost, partial(mul, 4.0), 60, sure=False)
     assert not others
     header = DepthVideoHeader.from_map(video.header)
     tiles = unpack_tiles(header.tiles, header.rows, header.columns)

@@ -7,13 +7,14 @@ from math import log
 
 import pytest
 
-from threedvc.encoder.rate.objective import MIN_SLOPE, ColorCost, objective
+from threedvc.encoder.rate.objective import DEPTH_WEIGHT, MIN_SLOPE, ColorCost, objective
 
 TRIED = ColorCost((1000.0, 2000.0, 4000.0), (5.0, 4.5, 4.2), 4000.0)
 
 
 def test_depth_counts_as_it_is_weighed() -> None:
-    assert objective(3.0, 0.5, 4.0) == 5.0
+    assert objective(3.0, 0.5, 1.0) == 3.0 + 0.5 * DEPTH_WEIGHT
+    assert objective(3.0, 0.5, 3.0) - 3.0 == pytest.approx(3 * (objective(3.0, 0.5, 1.0) - 3.0))
 
 
 @pytest.mark.parametrize(("spent", "error"), [(0, 4.2), (2000, 4.5), (3000, 5.0)])
