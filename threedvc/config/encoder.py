@@ -22,7 +22,7 @@ from threedvc.parallel import default_threads
 __all__ = ["DEPTH_WEIGHTS", "EncoderConfig"]
 
 DEPTH_WEIGHTS = {Favor.NEITHER: 1.0, Favor.COLOR: 1 / 3, Favor.DEPTH: 3.0}
-"""By hand: on the telephone's recording of a door from 29 to 36 dB at the same bytes (decision 0034)."""
+"""By hand: on the telephone's recording of a door from 29 to 36 dB at the same bytes (decision 0033)."""
 MAX_DEPTH_WEIGHT = 100.0
 """With more, colors would count for nothing."""
 

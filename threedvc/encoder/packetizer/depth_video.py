@@ -40,8 +40,10 @@ __all__ = ["choose_depth_video"]
 
 SCALES = (0.25, 0.375, 0.5)
 """Sizes that are tried, in sides of the depth map, the least first: it usually tells that none is worth it."""
-MIDDLE_CRF, OTHER_CRFS = 22, (30, 15)
+MIDDLE_CRF, CRF_STEPS = 22, (8, -7)
 """Sizes are tried with a middling quality of AV1, then the best size with a coarser and a finer one."""
+COARSE_CRFS = 35, 48
+"""Tried where the middling one exceeds what a video may take."""
 TRIAL_FRAMES, TRIAL_PICTURES = 60, 8
 """Frames in a row that are tried, two seconds at 30 frames/s, and how many of them are drawn, which takes longest."""
 HOPELESS_GAIN = -0.15
@@ -244,7 +246,12 @@ class DepthVideoTrial:
             return max(gains, key=gains.__getitem__)
 
         for scale in SCALES:
-            found = gain(DepthVideoChoice(self._format(scale)))
+            whole = DepthVideoChoice(self._format(scale))
+            found = gain(whole)
+            for crf in COARSE_CRFS if found == -inf else ():
+                found = gain(whole._replace(pictures=whole.pictures._replace(crf=crf)))
+                if found > -inf:
+                    break
             if found == -inf or (found < HOPELESS_GAIN and not sure):
                 break
         for misfit in self._tile_misfits(most().pictures) if not sure else ():
@@ -255,8 +262,8 @@ class DepthVideoTrial:
         if gains[most()] < HOPELESS_GAIN and not sure:
             return None
         middle = most()
-        for crf in OTHER_CRFS:
-            gain(middle._replace(pictures=middle.pictures._replace(crf=crf)))
+        for step in CRF_STEPS:
+            gain(middle._replace(pictures=middle.pictures._replace(crf=middle.pictures.crf + step)))
         best = gains[most()]
         if best == -inf or not (sure or best > MIN_GAIN):
             return None

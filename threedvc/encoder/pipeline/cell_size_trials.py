@@ -37,6 +37,8 @@ CHEAP = 0.1
 """Share of the bytes of surfaces that one bit of relief may add."""
 TRIAL_FRAMES = 100
 """Frames that a size of cells is tried on: more hardly change which size draws best."""
+GEOMETRY_TRIAL_FRAMES = 60
+"""The same where depth alone is drawn: as many as its misfit is measured on."""
 MIN_CELL_FACTOR, MIN_SHIFTED_CELL_FACTOR = 0.45, 0.65
 """Cells narrower than about two pixels are not tried, or three where color and depth have rays of their own: a decoder
 would draw them slowly."""
@@ -115,7 +117,7 @@ def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCos
     exact = state.config.depth_error.kind is not DepthErrorKind.MODEL
     if exact or state.config.voxel_size_m is not None or state.scene.objects[0].at_rest:
         return state
-    step = sampling_stride(len(fusion.frames), TRIAL_FRAMES, state.info)
+    step = sampling_stride(len(fusion.frames), GEOMETRY_TRIAL_FRAMES, state.info)
     some = DownsampledSequence(fusion.frames, step)
     poses = {number: found[::step] for number, found in state.poses.items()}
     others = besides_surfaces(len(state.reports))
