@@ -20,6 +20,10 @@ STEPS = 200
 """Points of a drawn curve: it looks smooth."""
 
 
+TICKS = 12
+"""Of the axis of rates at most: two for each power of ten, from a few kbit/s to what lossless color takes."""
+
+
 def plot(result: Result, picture: Path, exact: ExactResult | None = None) -> None:
     """Draw quality of color and of depth over rate, and what 3dvc and the AV1 pair need for both.
 
@@ -35,7 +39,7 @@ def plot(result: Result, picture: Path, exact: ExactResult | None = None) -> Non
     for axes, measure in ((color, COLOR), (depth, DEPTH), (pair, COLOR)):
         rates, qualities = result.line(result.ours, measure)
         axes.plot(rates, qualities, "o-", color=OUR_COLOR, label="3dvc, whole file")
-        if exact is not None:
+        if exact is not None and axes is not pair:
             _exact(axes, exact, measure)
         _finish(axes)
     color.set_ylabel("PSNR RGB, dB")
@@ -73,11 +77,11 @@ def _exact(axes: Any, exact: ExactResult, measure: str) -> None:
 
 
 def _finish(axes: Any) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3), numticks=TICKS))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda rate, _: f"{rate:g}" if rate < 1000 else f"{rate / 1000:g}k"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("kbit/s")
     axes.grid(visible=True, alpha=0.3)

@@ -47,6 +47,7 @@ __all__ = [
     "av1_points",
     "av1_version",
     "config_of",
+    "equals",
     "file_name",
     "ladder",
     "scored",
@@ -302,7 +303,7 @@ def av1_points(recording: Recording, store: Store, kind: str, enough: Callable[[
             point = av1_point(recording, store, kind, scale, crf)
             yield point
             found.append(point)
-            if enough(point) or any(_equals(other, point, JUDGED[kind]) for other in larger):
+            if enough(point) or any(equals(other, point, JUDGED[kind]) for other in larger):
                 break
         larger += found
 
@@ -326,7 +327,8 @@ def av1_version() -> str:
     return f"PyAV {library().__version__}, libavcodec {library().library_versions['libavcodec']}"
 
 
-def _equals(other: Point, point: Point, measure: str) -> bool:
+def equals(other: Point, point: Point, measure: str) -> bool:
+    """Tell whether a point is as good as another by one measure, with no more bytes."""
     return other.size <= point.size and other.quality[measure] >= point.quality[measure]
 
 
