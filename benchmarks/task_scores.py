@@ -14,13 +14,27 @@ from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
 from threedvc.metrics.trajectory import trajectory_error
 
-__all__ = ["KEYPOINTS", "View", "agreeing_matches", "chained", "f_score", "trajectory_scores"]
+__all__ = [
+    "GAP",
+    "KEYPOINTS",
+    "STRIDE",
+    "SURFACE_M",
+    "View",
+    "agreeing_matches",
+    "chained",
+    "f_score",
+    "trajectory_scores",
+]
 
 KEYPOINTS = 1000
 """ORB keypoints of a picture at most: twice the detector's default, so that its limit does not hide a difference."""
 AGREES_PX = 3.0
 """Distance from where geometry says a point has gone: that of a usual test of matches (RANSAC in OpenCV)."""
 HALF_PIXEL = 0.5
+GAP, STRIDE = 10, 5
+"""Frames between two pictures that are matched, and between one pair and the next."""
+SURFACE_M = 0.01
+"""Distance within which a point of a surface is right."""
 
 
 def chained(steps: Iterable[Pose]) -> list[Pose]:

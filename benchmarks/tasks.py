@@ -32,7 +32,7 @@ from rd_points import COLOR, DEPTH, Point, Recording, Score, Store, file_name
 from reporting import REPOSITORY, commit, markdown_table
 from sequences import DATA, Run
 from task_inputs import RAW, Version, check_recording, made_scene, scene_of, versions
-from task_scores import View, agreeing_matches, f_score, trajectory_scores
+from task_scores import GAP, STRIDE, SURFACE_M, View, agreeing_matches, f_score, trajectory_scores
 from task_tools import MissingTool, distances, fused, open3d, open3d_steps, opencv_steps
 from threedvc import ThreedvcError
 from threedvc.frames.frame import Frame
@@ -54,11 +54,9 @@ FRAMES = 60
 """Of each sequence: two seconds, more than the longest task looks back."""
 RATIOS = (1000, 400, 150)
 """Of the raw size to that of the file: 1:1000 is the goal, the finer ones show what more bytes bring."""
-GAP, STRIDE = 10, 5
-"""Frames between two pictures that are matched, and between one pair and the next."""
-SURFACE_M = 0.01
-"""Distance within which a point of a surface is right."""
 QUALITY = "quality"
+WORSE = " ✗"
+"""Marks a score that is worse than on raw frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,8 +229,8 @@ class Tasks:
 
 
 def tools() -> str:
-    """Return the versions of what does the tasks, this program's own included."""
-    sources = sorted(Path(__file__).parent.glob("task*.py"))
+    """Return the versions of what does the tasks and judges them."""
+    sources = sorted(Path(__file__).parent.glob("task_*.py"))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     return f"Open3D {open3d().__version__}, OpenCV {cv2.__version__}, {digest}"
 
@@ -286,7 +284,7 @@ def report(outcomes: Sequence[Outcome], heading: str, failures: Sequence[str] = 
     if outcomes:
         columns = list(dict.fromkeys(name for each in outcomes for name in each.scores))
         rows = [row for each in outcomes for row in _rows(each, columns)]
-        parts += [markdown_table(("sequence", "task", "measure", *columns), rows, 3), *_judged(outcomes), NOTE]
+        parts += [markdown_table(("sequence", "task", "measure", *columns), rows, 3), _judged(outcomes), NOTE]
         parts += ["## What was coded", markdown_table(CODED, [row for each in outcomes for row in _coded(each)], 3)]
     return "\n\n".join(parts) + "\n"
 
@@ -296,30 +294,33 @@ def _rows(each: Outcome, columns: Sequence[str]) -> list[list[str]]:
     for measure in MEASURES:
         values = [each.value(name, measure) if name in each.scores else None for name in columns]
         if any(value is not None for value in values):
-            cells = ["-" if value is None else measure.shown(value) for value in values]
+            cells = [_cell(measure, value, each.value(RAW, measure)) for value in values]
             rows.append([each.sequence, measure.task, measure.words, *cells])
     return rows
 
 
-def _judged(outcomes: Sequence[Outcome]) -> list[str]:
-    """Say of each codec and size how many scores are worse than on raw frames, and which."""
-    lines = []
+def _cell(measure: Measure, value: float | None, raw: float | None) -> str:
+    if value is None:
+        return "-"
+    return measure.shown(value) + (WORSE if raw is not None and measure.worse(value, raw) else "")
+
+
+def _judged(outcomes: Sequence[Outcome]) -> str:
+    """Say of each codec and size how many scores are worse than on raw frames."""
+    counts = []
     for name in dict.fromkeys(name for each in outcomes for name in each.scores if name != RAW):
-        compared = [
-            (each, measure, value, raw)
+        worse = [
+            measure.worse(value, raw)
             for each in outcomes
             if name in each.scores
             for measure in MEASURES
             if (value := each.value(name, measure)) is not None and (raw := each.value(RAW, measure)) is not None
         ]
-        worse = [
-            f"{each.sequence}: {measure.task}, {measure.words} ({measure.shown(value)} for {measure.shown(raw)})"
-            for each, measure, value, raw in compared
-            if measure.worse(value, raw)
-        ]
-        named = f": {'; '.join(worse)}" if worse else ""
-        lines.append(f"- {name}: {len(worse)} of {len(compared)} scores are worse than on raw frames{named}.")
-    return ["The goal is that no task be worse than on raw frames at 1:1000.", "\n".join(lines)]
+        counts.append(f"{name}: {sum(worse)} of {len(worse)}")
+    return (
+        f"The goal is that no task be worse than on raw frames at 1:1000. Scores that are, with a {WORSE.strip()}: "
+        f"{'; '.join(counts)}."
+    )
 
 
 CODED = ("sequence", "version", "setting", "bytes", "kbit/s", "raw size to bytes", "PSNR RGB", "within 1 %", "lost")
