@@ -129,7 +129,7 @@ def _threedvc(recording: Recording, ratio: int, budget: float, store: Store) -> 
     config = replace(recording.config, bitrate_bps=8 * budget / recording.seconds)
 
     def code() -> Coded:
-        stream = place.with_suffix(".3dvc")
+        stream = place.with_name(f"{place.name}.3dvc")
         size = recording.encode(stream, config)
         decoded = open_stream(stream)
         return size, f"{config.bitrate_bps / 1000:.0f} kbit/s", decoded.info, _as_frames(recording, decoded)

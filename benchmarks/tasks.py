@@ -18,14 +18,16 @@ import math
 import platform
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+import task_scores
+import task_tools
 from av1 import MissingCodec, library
 from rd import count
 from rd_points import COLOR, DEPTH, Point, Recording, Score, Store, file_name
@@ -39,6 +41,7 @@ from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose
 from threedvc.parallel import default_threads
+from threedvc.synthesis.sequence import SyntheticSequence
 
 __all__ = ["MEASURES", "Measure", "Subject", "Tasks", "main", "report"]
 
@@ -129,7 +132,6 @@ class Subject:
 
     recording: Recording
     exact: Callable[[int], NDArray[np.float32]] | None = None
-    given: list[Frame] = field(default_factory=list, repr=False)
 
     @property
     def camera(self) -> Camera:
@@ -230,8 +232,8 @@ class Tasks:
 
 def tools() -> str:
     """Return the versions of what does the tasks and judges them."""
-    sources = sorted(Path(__file__).parent.glob("task_*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+    sources = [Path(module.__file__).read_bytes() for module in (task_scores, task_tools)]
+    digest = hashlib.sha256(b"".join(sources)).hexdigest()[:16]
     return f"Open3D {open3d().__version__}, OpenCV {cv2.__version__}, {digest}"
 
 
@@ -269,12 +271,12 @@ def subjects(folders: Iterable[Path], scenes: Iterable[str], frames: int, cache:
         yield Subject(recording=Recording(folder, run, frames))
     for name in scenes:
         folder = made_scene(name, frames, cache)
-        scene = scene_of(name, frames, "ideal")
-
-        def exact(number: int, scene=scene) -> NDArray[np.float32]:  # type: ignore[no-untyped-def]
-            return np.asarray(scene.picture(number).depth, dtype=np.float32)
-
+        exact = partial(_exact_depth, scene_of(name, frames, "ideal"))
         yield Subject(recording=Recording(folder, Run(sequence=folder.name, options=OPTIONS), frames), exact=exact)
+
+
+def _exact_depth(scene: SyntheticSequence, number: int) -> NDArray[np.float32]:
+    return np.asarray(scene.picture(number).depth, dtype=np.float32)
 
 
 def report(outcomes: Sequence[Outcome], heading: str, failures: Sequence[str] = ()) -> str:
