@@ -17,7 +17,7 @@ UNCOMPILED := $(patsubst %, tests/unit/%.py, model/test_block_index formats/cont
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-long lint typecheck contracts coverage golden fuzz bench bench-ci bench-ci-baseline \
-	bench-rd paper docs build clean check
+	bench-rd bench-tasks paper docs build clean check
 
 help: ## Show the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -85,8 +85,11 @@ bench: $(READY) ## Measure speed, memory, quality and tracking, write tables in 
 	$(BIN)/python benchmarks/sequences.py
 	$(BIN)/python benchmarks/tracking.py
 
-bench-rd: $(BENCH_READY) ## Compare with AV1 at equal quality, write RESULTS.md and plots in benchmarks
+bench-rd: $(BENCH_READY) ## Compare with other codecs over the range of quality, write RESULTS.md and plots in benchmarks
 	$(BIN)/python benchmarks/rd.py
+
+bench-tasks: $(BENCH_READY) ## Measure what decoded frames are good for, write TASKS.md in benchmarks
+	$(BIN)/python benchmarks/tasks.py
 
 paper: $(READY) ## Repeat the experiment of the 1995 paper
 	$(BIN)/python benchmarks/paper_experiment.py build/paper

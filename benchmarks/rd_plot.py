@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from rd_report import COLOR, DEPTH, Result
+from rd_exact import ExactResult
+from rd_points import COLOR, DEPTH
+from rd_report import Result
+from threedvc.metrics.picture_quality import MAX_PSNR_DB
 
 __all__ = ["plot"]
 
@@ -17,8 +20,15 @@ STEPS = 200
 """Points of a drawn curve: it looks smooth."""
 
 
-def plot(result: Result, picture: Path) -> None:
-    """Draw quality of color and of depth over rate, and what 3dvc and the AV1 pair need for both."""
+TICKS = 12
+"""Of the axis of rates at most: two for each power of ten, from a few kbit/s to what lossless color takes."""
+
+
+def plot(result: Result, picture: Path, exact: ExactResult | None = None) -> None:
+    """Draw quality of color and of depth over rate, and what 3dvc and the AV1 pair need for both.
+
+    Files whose depth is within a bound are points of their own; one without loss is a line, as its PSNR is infinite.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 4.5), layout="constrained")
@@ -29,6 +39,8 @@ def plot(result: Result, picture: Path) -> None:
     for axes, measure in ((color, COLOR), (depth, DEPTH), (pair, COLOR)):
         rates, qualities = result.line(result.ours, measure)
         axes.plot(rates, qualities, "o-", color=OUR_COLOR, label="3dvc, whole file")
+        if exact is not None and axes is not pair:
+            _exact(axes, exact, measure)
         _finish(axes)
     color.set_ylabel("PSNR RGB, dB")
     depth.set_ylabel("share within 1 % of the true depth")
@@ -54,12 +66,22 @@ def _their_pairs(axes: Any, result: Result) -> None:
     axes.plot(rates, [quality for _, quality in needs], "s-", color=THEIR_COLOR, label="AV1, color and depth")
 
 
+def _exact(axes: Any, exact: ExactResult, measure: str) -> None:
+    points = list(exact.ours.values())
+    bounded = [point for point in points if point.quality[COLOR] < MAX_PSNR_DB]
+    rates = [exact.kbit_s(point.size) for point in bounded]
+    axes.plot(rates, [point.quality[measure] for point in bounded], "D", color=OUR_COLOR, label="3dvc, --depth-error")
+    for point in points:
+        if point not in bounded:
+            axes.axvline(exact.kbit_s(point.size), color=OUR_COLOR, linestyle=":", label="3dvc, --lossless")
+
+
 def _finish(axes: Any) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 3), numticks=TICKS))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda rate, _: f"{rate:g}" if rate < 1000 else f"{rate / 1000:g}k"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("kbit/s")
     axes.grid(visible=True, alpha=0.3)

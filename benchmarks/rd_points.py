@@ -10,7 +10,7 @@ import hashlib
 import json
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -23,31 +23,63 @@ from planes import InverseDepth, Plane
 from reporting import REPOSITORY
 from sequences import Run
 from threedvc.cli.main import main as command
-from threedvc.config import EncoderConfig, Motion, Sensor
+from threedvc.cli.requests import EncodeRequest
+from threedvc.config import EncoderConfig
 from threedvc.formats.sources import FolderSequence, open_sequence
 from threedvc.frames.frame import SequenceInfo
 from threedvc.metrics.depth_errors import DepthErrors, depth_units
 from threedvc.metrics.picture_quality import ColorQuality, mean_color_quality
 from threedvc.units import MILLIMETERS
 
-__all__ = ["RUNS", "Point", "Recording", "Score", "Store", "av1_points", "config_of", "ladder", "threedvc_points"]
+__all__ = [
+    "AV1_CRF",
+    "AV1_SCALES",
+    "COLOR",
+    "DEPTH",
+    "JUDGED",
+    "RUNS",
+    "Point",
+    "Recording",
+    "Score",
+    "Store",
+    "av1_codec",
+    "av1_point",
+    "av1_points",
+    "av1_version",
+    "config_of",
+    "equals",
+    "file_name",
+    "ladder",
+    "scored",
+    "source_digest",
+    "threedvc_points",
+]
 
-RATES = (8.0, 16.0, 32.0, 64.0)
-"""Rates in kbit/s of a sequence that `RUNS` does not name: the codec is made for 5 to 64."""
+COLOR, DEPTH = "psnr_rgb", "depth_within_1pct"
+"""The measures by which curves are compared."""
+JUDGED = {"color": COLOR, "depth": DEPTH}
+"""Which of them is for which kind of pictures."""
+
+RATES = (8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 1000.0)
+"""Rates in kbit/s of a sequence that `RUNS` does not name: from where models alone are to a good video."""
+LOW_RATES = (3.0, 6.0, *RATES[:5])
+"""Of small pictures of one object: what models need, and no more than there is to tell."""
+HIGH_RATES = (*RATES[1:], 4000.0)
+"""Of real cameras at 640x480, whose noise alone takes more."""
 RUNS = (
-    Run(sequence="paper_cow", options="--segment depth:0.1m..1.2m --motion known", rates=(3.0, 4.7, 7.0)),
-    Run(sequence="cow_turn", options="--segment masks --motion known", rates=(6.0, 8.78, 12.8)),
-    Run(sequence="two_toys", options="--segment masks --motion known", rates=(24.0, 34.7, 48.0)),
-    Run(sequence="room_orbit", options="--segment none --motion known", rates=(20.0, 28.6)),
-    Run(sequence="kitchen300", options="--motion known", rates=(10.0, 17.0, 25.0)),
-    Run(sequence="fr1_rpy", options="--motion known", rates=(36.0, 55.9, 84.0)),
-    Run(sequence="realsense_desk", options="--max-depth 4m", rates=(32.0, 64.0)),
-    Run(sequence="iphone_door", options="--motion known", rates=(24.0, 48.0, 96.0)),
-    Run(sequence="cereal_box", options="--segment masks --motion track", rates=(16.0, 32.0)),
+    Run(sequence="paper_cow", options="--segment depth:0.1m..1.2m --motion known", rates=LOW_RATES),
+    Run(sequence="cow_turn", options="--segment masks --motion known", rates=(6.0, *RATES[:-1])),
+    Run(sequence="two_toys", options="--segment masks --motion known", rates=RATES[1:]),
+    Run(sequence="room_orbit", options="--segment none --motion known", rates=RATES[1:]),
+    Run(sequence="kitchen300", options="--motion known", rates=(*RATES, 4000.0)),
+    Run(sequence="fr1_rpy", options="--motion known", rates=HIGH_RATES),
+    Run(sequence="realsense_desk", options="--max-depth 4m", rates=HIGH_RATES),
+    Run(sequence="iphone_door", options="--motion known", rates=RATES[1:]),
+    Run(sequence="cereal_box", options="--segment masks --motion track", rates=RATES),
 )
-"""How sequences are encoded here, and at which rates in kbit/s, where 3-D models are at home."""
-AV1_CRF = (70, 64, 58, 50, 40, 30, 20)
-"""Constant rate factors from the coarsest to good quality, so that the curve covers the rates of `RUNS`."""
+"""How sequences are encoded here, and at which rates in kbit/s."""
+AV1_CRF = (70, 64, 58, 50, 40, 30, 20, 12, 6, 1)
+"""Constant rate factors from the coarsest to the finest."""
 AV1_SCALES = (1, 2, 4, 8)
 """Parts of the size at which AV1 may work: small pictures win at low rates, and the hull over all is its best."""
 
@@ -177,14 +209,9 @@ class Recording:
 
 def config_of(options: str) -> EncoderConfig:
     """Return the encoder's choices that options of ``3dvc encode`` make."""
-    chosen = command.commands["encode"].make_context("encode", ["in", "out.3dvc", *shlex.split(options)]).params
-    return EncoderConfig(
-        voxel_size_m=chosen["voxel_size"],
-        max_depth_m=chosen["max_depth"],
-        motion=Motion(chosen["motion"]),
-        sensor=Sensor(*chosen["sensor"] or ["auto"]),
-        segmentation=chosen["segment"],
-    )
+    given = command.commands["encode"].make_context("encode", ["in", "out.3dvc", *shlex.split(options)]).params
+    chosen = {each.name: given[each.name] for each in fields(EncodeRequest)}
+    return EncodeRequest(**chosen).configuration(1)
 
 
 def ladder(config: EncoderConfig, rates: Sequence[float]) -> list[EncoderConfig]:
@@ -251,30 +278,58 @@ def file_name(words: str) -> str:
 
 def _ours(recording: Recording, config: EncoderConfig, setting: str, stream: Path) -> Point:
     size = recording.encode(stream, config)
+    return Point(setting=setting, size=size, quality=scored(recording, stream))
+
+
+def scored(recording: Recording, stream: Path) -> dict[str, float]:
+    """Return the quality of a stream, held against the frames as recorded."""
     score = Score(depth_scale=recording.info.depth_scale)
     for given, seen in zip(recording.frames, threedvc.decode(stream), strict=True):
         score.add_color(given.color, seen.color)
         score.add_depth(given.depth, seen.depth)
-    return Point(setting=setting, size=size, quality=score.quality())
+    return score.quality()
 
 
 def av1_points(recording: Recording, store: Store, kind: str, enough: Callable[[Point], bool]) -> Iterator[Point]:
     """Yield the points of AV1 for one kind of pictures, ``color`` or ``depth``: of each size, from coarse to fine.
 
-    A size goes no further than to the first point that is good `enough`.
+    A size goes no further than to the first point that is good `enough`, or that a smaller one of a larger size equals:
+    small pictures win nothing by finer coding from there on.
     """
-    versions = library().library_versions
-    version = f"PyAV {library().__version__}, libavcodec {versions['libavcodec']}"
-    measure = {"color": _av1_color, "depth": _av1_depth}[kind]
-    camera = getattr(recording.info.rig, kind)
+    larger: list[Point] = []
     for scale in AV1_SCALES:
+        found: list[Point] = []
         for crf in AV1_CRF:
-            codec = VideoCodec(width=camera.width, height=camera.height, fps=recording.info.fps, crf=crf, scale=scale)
-            place = store.place(recording, f"av1-{kind}-preset{codec.preset}-scale{scale}-crf{crf}")
-            point = store.point(place, version, partial(measure, recording, codec))
+            point = av1_point(recording, store, kind, scale, crf)
             yield point
-            if enough(point):
+            found.append(point)
+            if enough(point) or any(equals(other, point, JUDGED[kind]) for other in larger):
                 break
+        larger += found
+
+
+def av1_point(recording: Recording, store: Store, kind: str, scale: int, crf: int) -> Point:
+    """Return one point of AV1 for one kind of pictures, ``color`` or ``depth``."""
+    codec = av1_codec(recording, kind, scale, crf)
+    measure = {"color": _av1_color, "depth": _av1_depth}[kind]
+    place = store.place(recording, f"av1-{kind}-preset{codec.preset}-scale{scale}-crf{crf}")
+    return store.point(place, av1_version(), partial(measure, recording, codec))
+
+
+def av1_codec(recording: Recording, kind: str, scale: int, crf: int) -> VideoCodec:
+    """Return AV1 at one setting for the pictures of a recording."""
+    camera = getattr(recording.info.rig, kind)
+    return VideoCodec(width=camera.width, height=camera.height, fps=recording.info.fps, crf=crf, scale=scale)
+
+
+def av1_version() -> str:
+    """Return which libraries a point of AV1 is from."""
+    return f"PyAV {library().__version__}, libavcodec {library().library_versions['libavcodec']}"
+
+
+def equals(other: Point, point: Point, measure: str) -> bool:
+    """Tell whether a point is as good as another by one measure, with no more bytes."""
+    return other.size <= point.size and other.quality[measure] >= point.quality[measure]
 
 
 def _av1_setting(codec: VideoCodec) -> str:

@@ -9,19 +9,22 @@ from functools import cached_property
 from pathlib import Path
 
 from bd_rate import Curve, bd_rate, geometric_mean
-from rd_points import Point
+from rd_exact import ExactResult, exact_tables
+from rd_points import COLOR, DEPTH, Point
 from reporting import markdown_table
 
-__all__ = ["COLOR", "DEPTH", "Result", "report"]
+__all__ = ["Result", "report"]
 
-COLOR, DEPTH = "psnr_rgb", "depth_within_1pct"
+MIDDLE_KBIT_S = (20.0, 150.0)
+"""Rates over which a mean is taken: more than models alone need, and less than good videos of both."""
 CHOICES = ((COLOR,), (DEPTH,), (COLOR, DEPTH))
-NOTE = """\
-3dvc is always counted with its whole file, which holds color, depth and motion; AV1 with its coded
-pictures alone, no container. Color is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit
-inverse depth in luma, with the pixels that have none filled smoothly and no mask of them. Both are coded at full, half,
-quarter and an eighth of their size. Both codecs are scored on the same pictures by `threedvc.metrics.picture_quality`;
-depth only where the input has a value, and a lost pixel is a miss.
+NOTE = f"""\
+3dvc is always counted with its whole file, which holds color, depth and motion; AV1 with its coded pictures alone, no
+container. Color is 8-bit 4:2:0 at preset 4, constant quality, one key frame; depth is 10-bit inverse depth in luma,
+with the pixels that have none filled smoothly and no mask of them. Both are coded at full, half, quarter and an eighth
+of their size, from the coarsest quality to the first that is better than all points of 3dvc. Both codecs are scored on
+the same pictures by `threedvc.metrics.picture_quality`; depth only where the input has a value, and a lost pixel is a
+miss.
 
 "Equal PSNR" is what AV1 needs for the PSNR-RGB of a point of 3dvc, color alone; "equal within 1 %" what it needs
 for as many pixels within 1 % of the true depth, depth alone; "both" is their sum, two videos against one file. They
@@ -29,6 +32,9 @@ are read off the convex hull of AV1's points over all sizes, log rate interpolat
 cheapest point of AV1 is better than asked; a dash: its dearest is not as good. "AV1/3dvc" above 1 means that 3dvc is
 smaller; for a sequence it is the geometric mean over its points, without those that AV1 cannot equal or that are
 marked ≤, and without those that a smaller point of 3dvc equals in both measures.
+
+"At equal quality, by rate" has this ratio for both together, by the rate that 3dvc was asked for; its last column is
+the geometric mean of the points of 3dvc whose files have {MIDDLE_KBIT_S[0]:g} to {MIDDLE_KBIT_S[1]:g} kbit/s.
 
 BD-rate is the mean difference of log rates over the qualities that both reach, in percent; negative means that 3dvc
 needs less, a dash that they have no range in common. That of the pair runs over the PSNR of 3dvc's points and holds
@@ -107,6 +113,12 @@ class Result:
         """Return AV1's bytes over ours at equal PSNR, at equal within 1 % and at both, as means over our points."""
         return [_mean([self._ratio(point, *chosen) for point in self.worthwhile]) for chosen in CHOICES]
 
+    def middle_ratio(self) -> float | None:
+        """Return AV1's bytes over ours for both, as a mean over our worthwhile points of `MIDDLE_KBIT_S`."""
+        low, high = MIDDLE_KBIT_S
+        chosen = [point for point in self.worthwhile if low <= self.kbit_s(point.size) <= high]
+        return _mean([self._ratio(point, COLOR, DEPTH) for point in chosen])
+
     def _ratio(self, point: Point, *measures: str) -> float | None:
         need = self.equal(point, *measures)
         return None if need is None or self.at_most(point, *measures) else need / point.size
@@ -129,9 +141,31 @@ def curve(points: Iterable[Point], measure: str) -> Curve:
     return Curve.hull((point.size, point.quality[measure]) for point in points)
 
 
-def report(results: Sequence[Result], heading: str, plots: Path | None = None, failures: Sequence[str] = ()) -> str:
-    """Return the report as Markdown; `plots` is the folder of plots as the report names it."""
-    parts = ["# Rate and distortion", heading, *([_summary(results)] if results else []), NOTE]
+def report(
+    results: Sequence[Result],
+    heading: str,
+    plots: Path | None = None,
+    failures: Sequence[str] = (),
+    exact: Sequence[ExactResult] = (),
+) -> str:
+    """Return the report as Markdown.
+
+    Parameters
+    ----------
+    results, exact
+        Points by rate, and points without loss or within a bound.
+    heading
+        Says which codecs were compared, and where.
+    plots
+        The folder of plots as the report names it.
+    failures
+        What could not be measured.
+    """
+    parts = ["# Rate and distortion", heading]
+    if results:
+        parts += [_summary(results), "## At equal quality, by rate: bytes of the AV1 pair over those of 3dvc"]
+        parts += [_by_rate(results), "## How it is compared", NOTE]
+    parts += exact_tables(exact)
     parts += [f"Failed: {failure}." for failure in failures]
     for result in results:
         options = f" with `{result.options}`" if result.options else ""
@@ -157,6 +191,29 @@ def _summary(results: Sequence[Result]) -> str:
     factors = [_mean(column) for column in zip(*ratios, strict=True)]
     percents = [_percent(None if change is None else 100 * (change - 1)) for change in changes]
     return markdown_table(SUMMARY, [*rows, ["geometric mean", "", *percents, *map(_ratio, factors)]])
+
+
+def _by_rate(results: Sequence[Result]) -> str:
+    low, high = MIDDLE_KBIT_S
+    settings = sorted({point.setting for result in results for point in result.ours}, key=_rate_of)
+    rows = []
+    for result in results:
+        cells = {point.setting: _both(result, point) for point in result.ours}
+        rows.append([result.sequence, *(cells.get(each, "") for each in settings), _ratio(result.middle_ratio())])
+    mean = _mean([result.middle_ratio() for result in results])
+    rows.append(["geometric mean", *[""] * len(settings), _ratio(mean)])
+    return markdown_table(("sequence", *settings, f"{low:g} to {high:g} kbit/s"), rows)
+
+
+def _rate_of(setting: str) -> float:
+    """Return the number at the front of "8 kbit/s"."""
+    return float(setting.split()[0])
+
+
+def _both(result: Result, point: Point) -> str:
+    both = result.equal(point, COLOR, DEPTH)
+    bound = "≤ " if both is not None and result.at_most(point, COLOR, DEPTH) else ""
+    return bound + _ratio(None if both is None else both / point.size)
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -13,8 +13,8 @@ import pytest
 
 import rd
 import rd_points
-from rd_points import Point, Recording, Score, Store, config_of, ladder
-from rd_report import COLOR, DEPTH, Result, report
+from rd_points import COLOR, DEPTH, Point, Recording, Score, Store, config_of, ladder
+from rd_report import Result, report
 from sequences import RUNS
 from threedvc.cli.main import main as command
 from threedvc.config import Motion, SegmentationMode
@@ -22,7 +22,7 @@ from threedvc.config import Motion, SegmentationMode
 MEASURES = ("psnr_y", "ssim_y", "depth_within_10mm", "depth_rmse_mm", "depth_lost")
 
 
-def point(size: int, psnr: float = 0.0, within: float = 0.0, setting: str = "setting") -> Point:
+def point(size: int, psnr: float = 0.0, within: float = 0.0, setting: str = "8 kbit/s") -> Point:
     return Point(setting=setting, size=size, quality={COLOR: psnr, DEPTH: within, **dict.fromkeys(MEASURES, 0.0)})
 
 
@@ -173,16 +173,25 @@ class TestResult:
 
 class TestReport:
     def test_cells(self) -> None:
-        ours = [point(100, psnr=15, within=0.6), point(1600, psnr=24.99, within=0.7), point(3200, psnr=40, within=0.9)]
+        ours = [
+            point(100, psnr=15, within=0.6, setting="8 kbit/s"),
+            point(4000, psnr=24.99, within=0.7, setting="16 kbit/s"),
+            point(8000, psnr=40, within=0.9, setting="1000 kbit/s"),
+        ]
         text = report([result(ours), result(ours[1:])], "Heading.", Path("plots"), ["door: no depth"])
         lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-        cheap, middle, best = [line for line in lines if line and line[0] == "setting" and len(line) == 14][:3]
+        cheap, middle, best = [line for line in lines if line and line[0].endswith(" kbit/s") and len(line) == 14][:3]
         assert cheap[-4] == "≤ 100"
         assert cheap[-2].startswith("≤ ")
-        assert middle[-4:] == ["200", "200", "400", "0.25"]
+        assert middle[-4:] == ["200", "200", "400", "0.10"]
         assert best[-4:] == ["-", "400", "-", "-"]
-        mean = next(line for line in lines if line and line[0] == "geometric mean")
+        mean, by_rate = [line for line in lines if line and line[0] == "geometric mean"]
         assert mean[-1] != "-"
+        assert by_rate == ["geometric mean", "", "", "", "0.10"]
+        header, first, second = [line for line in lines if len(line) == 5 and line[0] in ("sequence", "room")]
+        assert header == ["sequence", "8 kbit/s", "16 kbit/s", "1000 kbit/s", "20 to 150 kbit/s"]
+        assert first[1:] == ["≤ 2.41", "0.10", "-", "0.10"]
+        assert second[1:] == ["", "0.10", "-", "0.10"]
         assert "![room](plots/room.png)" in text
         assert "30 frames with `--motion track`." in text
         assert "Failed: door: no depth." in text
@@ -210,7 +219,9 @@ class TestCommand:
         with pytest.raises(SystemExit, match=r"install the extra \[bench\]"):
             rd.main([str(tmp_path), "--out", str(tmp_path / "table.md")])
 
-    @pytest.mark.parametrize("options", [["--rates", "8"], ["--rates", "0,8"], ["--rates", "8,x"], ["--frames", "0"]])
+    @pytest.mark.parametrize(
+        "options", [["--rates", "8"], ["--rates", "0,8"], ["--rates", "8,x"], ["--frames", "0"], ["--parts", "all"]]
+    )
     def test_impossible_numbers_are_refused(self, options: list[str]) -> None:
         with pytest.raises(SystemExit, match="2"):
             rd.main(options)
@@ -223,9 +234,20 @@ class TestCommand:
 
         monkeypatch.setattr(rd, "av1_points", points)
         monkeypatch.setattr(rd, "library", lambda: type("PyAV", (), {"__version__": "0"}))
-        monkeypatch.setattr(rd, "plot", lambda _, picture: None)
+        monkeypatch.setattr(rd, "plot", lambda *_: None)
         table = tmp_path / "out" / "table.md"
-        chosen = ["--rates", "64,256", "--frames", "2", "--cache", str(tmp_path / "cache"), "--out", str(table)]
+        chosen = [
+            "--parts",
+            "rates",
+            "--rates",
+            "64,256",
+            "--frames",
+            "2",
+            "--cache",
+            str(tmp_path / "cache"),
+            "--out",
+            str(table),
+        ]
         with pytest.raises(SystemExit, match="1 of the sequences failed"):
             rd.main([str(tmp_path / "nothing"), str(folder), *chosen])
         assert "Failed: nothing: " in table.read_text(encoding="utf-8")
