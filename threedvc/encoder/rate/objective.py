@@ -41,7 +41,7 @@ class ColorCost:
         Bytes of two videos or more, ascending if there is a budget, and the mean logarithms of their squared errors.
     budget_bytes
         What the stream may take; None: the first video stays as it is, and bytes beside it cost what it would gain by
-        as many.
+        as many more.
     coarsest_bytes
         What the coarsest video takes; 0: not known.
     """
@@ -66,7 +66,7 @@ class ColorCost:
     def at(self, spent_bytes: float) -> float:
         """Return the error of colors, or what counts for it, if other things take so many bytes."""
         if self.budget_bytes is None:
-            return self.errors[0] + self._slope(0) * spent_bytes / self.sizes[0]
+            return self.errors[0] + self._slope(0) * log(1 + spent_bytes / self.sizes[0])
         return self._error(max(self.budget_bytes - spent_bytes, MIN_LEFT * abs(self.budget_bytes)))
 
     def _error(self, size: float) -> float:
