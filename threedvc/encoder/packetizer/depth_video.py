@@ -220,7 +220,8 @@ class DepthVideoTrial:
     def __init__(self, own: _SensorFrames, cost: ColorCost, misfit_cost: Callable[[float], float]) -> None:
         self._threads = own.scene.config.threads
         self._cost, self._misfit_cost = cost, misfit_cost
-        self._part = len(own.seeing) / len(own.frames)
+        taken = sum(record.sensor == own.sensor for record in own.scene.records)
+        self._part = taken / len(own.scene.records)
         first = max(0, (len(own.seeing) - TRIAL_FRAMES) // 2)
         numbers = own.seeing[first : first + TRIAL_FRAMES]
         self._share = len(numbers) / len(own.seeing)
@@ -289,18 +290,18 @@ class DepthVideoTrial:
         return PictureFormat(columns, rows, MIDDLE_CRF)
 
     def _gain(self, choice: DepthVideoChoice) -> float:
-        """Return what a video gains: what it takes off the misfit less the price of its bytes."""
+        """Return what a video gains if all sensors have one: what it takes off the misfit less the price of its bytes."""
         tiles = choice.tiles(self._misfits(choice.pictures))
         run = encode_depth_run(
             self._measured, self._measured, choice.pictures, tiles, thorough=False, threads=self._threads
         )
-        video_bytes = (len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES) / self._share
+        video_bytes = (len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES) / (self._share * self._part)
         budget = self._cost.budget_bytes
         if budget is not None and video_bytes > MAX_RATE_SHARE * budget:
             return -inf
         dearer = self._cost.at(video_bytes) - self._cost.at(0)
         shown = self._misfit_with(self._shown(run, choice.pictures))
-        return self._part * (self._misfit_cost(self._misfit) - self._misfit_cost(shown)) - dearer
+        return self._misfit_cost(self._misfit) - self._misfit_cost(shown) - dearer
 
     def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
         """Return what a decoder shows by a run instead of the depth drawn of some frames, by their place in it."""
