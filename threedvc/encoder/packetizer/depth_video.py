@@ -290,7 +290,7 @@ class DepthVideoTrial:
         return PictureFormat(columns, rows, MIDDLE_CRF)
 
     def _gain(self, choice: DepthVideoChoice) -> float:
-        """Return what a video gains if all sensors have one: what it takes off the misfit less the price of its bytes."""
+        """Return what a video of all sensors gains: what it takes off the misfit less the price of its bytes."""
         tiles = choice.tiles(self._misfits(choice.pictures))
         run = encode_depth_run(
             self._measured, self._measured, choice.pictures, tiles, thorough=False, threads=self._threads
