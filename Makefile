@@ -64,7 +64,7 @@ contracts: $(READY) ## Check the direction of imports (import-linter)
 	$(BIN)/lint-imports
 
 coverage: $(READY) ## Report line and branch coverage; kernels count where tests can run them uncompiled
-	$(BIN)/python -m pytest --quiet --cov --cov-report=
+	$(BIN)/python -m pytest --quiet --numprocesses auto -m 'not long' --cov --cov-report=
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --quiet --cov --cov-append --cov-report=term --cov-report=html \
 		-W 'ignore:overflow encountered:RuntimeWarning' $(UNCOMPILED)
 
