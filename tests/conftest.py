@@ -12,7 +12,7 @@ import pytest
 from hypothesis import settings
 
 from threedvc.coding.video import still
-from threedvc.encoder.packetizer import depth_run
+from threedvc.encoder.packetizer.captured import depth_run
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -19,10 +19,10 @@ from threedvc.coding.color import ColorSettings
 from threedvc.coding.depth_cells import spread
 from threedvc.coding.depth_picture import MAX_SAMPLE, DepthPicture, DepthSteps, decode_depths, encode_depths
 from threedvc.coding.filters import MAX_FACTOR, decode_filter
+from threedvc.coding.measured_depth.saturated import SaturatedPixels
 from threedvc.coding.morton import morton_order
 from threedvc.coding.poses import PoseCoder
 from threedvc.coding.relief import decode_relief, encode_relief
-from threedvc.coding.saturated import SaturatedPixels
 from threedvc.coding.update import decode_update, encode_update_with_result
 from threedvc.coding.video.av1 import Av1Settings, can_encode_av1, decode_av1, encode_av1
 from threedvc.coding.video.earlier import decode_earlier_run, decode_earlier_still

@@ -421,8 +421,7 @@ def test_holes_in_depth_are_drawn_in_color_alone() -> None:
         model.refresh(1)
     renderer = Renderer(sequence.info.rig, RenderConfig(threads=1))
     whole = renderer.draw(shown, state.T_camera_object)
-    measured = {number: pose for number, pose in state.T_camera_object.items() if number not in guessed}
-    without = renderer.draw(shown, measured)
+    without = renderer.draw(shown, {n: pose for n, pose in state.T_camera_object.items() if n not in guessed})
     np.testing.assert_array_equal(whole.depth, without.depth)
     np.testing.assert_array_equal(whole.labels, without.labels)
     hole = (slice(27, 48), slice(35, 63))
@@ -448,5 +447,4 @@ def test_a_relief_goes_with_every_group_of_cells(bits: int) -> None:
     assert len(members(packets, PacketType.RELIEF)) == (len(updates) if bits else 0)
     decoder = Decoder()
     assert len(list(decoder.frames(packets))) == len(sequence)
-    assert decoder.complete
-    assert decoder.models[0].relief_bits == bits
+    assert (decoder.complete, decoder.models[0].relief_bits) == (True, bits)

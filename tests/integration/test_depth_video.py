@@ -25,7 +25,7 @@ from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion, Rende
 from threedvc.decoder import packet_handlers
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.verification import verified
-from threedvc.encoder.packetizer import depth_video as video_choice
+from threedvc.encoder.packetizer.captured import depth_video as video_choice
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.bounded_depth import depth_frames
-from threedvc.coding.saturated import SaturatedPixels
+from threedvc.coding.measured_depth.bounded_depth import depth_frames
+from threedvc.coding.measured_depth.saturated import SaturatedPixels
 from threedvc.errors import CorruptStream
 from threedvc.geometry.camera import Camera
 from threedvc.geometry.pose import Pose, inverse

@@ -20,7 +20,7 @@ MAX_RAW = 65535
 
 
 class MovedDepth:
-    """A prediction of the depth frames of a group, for `coding.bounded_depth`.
+    """A prediction of the depth frames of a group, for `coding.measured_depth.bounded_depth`.
 
     The decoded frames are averaged along the surfaces that the poses move. It is called for the frames in order.
 

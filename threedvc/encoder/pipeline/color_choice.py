@@ -13,9 +13,9 @@ from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import ColorVideo, DepthErrorKind
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance, fit_appearance, fit_geometry
 from threedvc.encoder.appearance.rate_distortion import least_color_error
-from threedvc.encoder.packetizer.color_video import ColorVideoWriter
-from threedvc.encoder.packetizer.color_video_trials import color_cost
-from threedvc.encoder.packetizer.depth_residual import residual_packets
+from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter
+from threedvc.encoder.packetizer.captured.color_video_trials import color_cost
+from threedvc.encoder.packetizer.captured.depth_residual import residual_packets
 from threedvc.encoder.pipeline.budget import bits_per_second, stream_budget
 from threedvc.encoder.pipeline.color_video_stream import color_video_stream
 from threedvc.encoder.pipeline.decoded_error import decoded_error

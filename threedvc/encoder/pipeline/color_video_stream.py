@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from threedvc.encoder.packetizer.color_video import ColorVideoWriter
+from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.rate_search import depth_videos
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices

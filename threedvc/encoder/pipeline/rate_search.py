@@ -9,7 +9,7 @@ from functools import partial
 
 from threedvc.config import DepthErrorKind, DepthVideo, EncoderConfig, with_step
 from threedvc.encoder.appearance.rate_distortion import weighed_misfit
-from threedvc.encoder.packetizer.depth_video import choose_depth_video
+from threedvc.encoder.packetizer.captured.depth_video import choose_depth_video
 from threedvc.encoder.packetizer.post_filter_fit import FILTER_BYTES, fit_post_filter
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices

@@ -7,8 +7,8 @@ import pytest
 
 from threedvc.config import EncoderConfig, VideoConfig, with_quality
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
-from threedvc.encoder.packetizer import color_video
-from threedvc.encoder.packetizer.color_video import ColorVideoWriter, picture_coding, video_bytes
+from threedvc.encoder.packetizer.captured import color_video
+from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter, picture_coding, video_bytes
 from threedvc.errors import ConfigError
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.packets import Packet

@@ -13,8 +13,8 @@ from helpers.nonrigid_scene import nonrigid_sequence
 from threedvc.coding.video.av1 import can_encode_av1, decode_av1
 from threedvc.coding.video.planes import VideoFormat
 from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion
-from threedvc.encoder.packetizer.depth_run import DEPTH_BITS, PictureFormat, encode_depth_run
-from threedvc.encoder.packetizer.depth_video import DepthVideoChoice, choose_depth_video, tile_misfits
+from threedvc.encoder.packetizer.captured.depth_run import DEPTH_BITS, PictureFormat, encode_depth_run
+from threedvc.encoder.packetizer.captured.depth_video import DepthVideoChoice, choose_depth_video, tile_misfits
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.objective import ColorCost
 from threedvc.render.captured_depth import TILE, tile_grid, unpack_tiles

@@ -10,9 +10,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.depth_bound import MAX_RAW, DepthBound, ValueTable, candidate_tables, distinct_depths
-from threedvc.coding.depth_weights import MAX_WEIGHT, WeightFit
 from threedvc.coding.entropy.range_coder import RangeCoder, RangeReader, RangeWriter, new_counters
+from threedvc.coding.measured_depth.depth_bound import (
+    MAX_RAW,
+    DepthBound,
+    ValueTable,
+    candidate_tables,
+    distinct_depths,
+)
+from threedvc.coding.measured_depth.depth_weights import MAX_WEIGHT, WeightFit
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
 from threedvc.kernels.coding.bounded_depth import (
     MASK_ROWS,

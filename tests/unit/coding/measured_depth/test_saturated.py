@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from threedvc.coding.saturated import SaturatedPixels, pack_saturated
+from threedvc.coding.measured_depth.saturated import SaturatedPixels, pack_saturated
 from threedvc.errors import CorruptStream
 from threedvc.stream.compressed_payload import compress
 from threedvc.stream.wire import ByteReader, pack_varint

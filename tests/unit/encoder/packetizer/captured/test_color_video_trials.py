@@ -8,8 +8,8 @@ import pytest
 from helpers.nonrigid_scene import nonrigid_sequence
 from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import EncoderConfig, VideoConfig
-from threedvc.encoder.packetizer.color_video import ColorVideoWriter, video_bytes
-from threedvc.encoder.packetizer.color_video_trials import color_cost
+from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter, video_bytes
+from threedvc.encoder.packetizer.captured.color_video_trials import color_cost
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 

@@ -10,9 +10,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from reference.bounded_depth import read_depth
-from threedvc.coding.bounded_depth import Predict, decode_depth_frames, encode_depth_frames
-from threedvc.coding.depth_bound import BoundKind, DepthBound, coarse_values, distinct_depths, fine_values
 from threedvc.coding.entropy.range_coder import RangeWriter, new_counters
+from threedvc.coding.measured_depth.bounded_depth import Predict, decode_depth_frames, encode_depth_frames
+from threedvc.coding.measured_depth.depth_bound import (
+    BoundKind,
+    DepthBound,
+    coarse_values,
+    distinct_depths,
+    fine_values,
+)
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
 from threedvc.kernels.coding.range_coder import NUMBER_COUNTERS
 from threedvc.limits import MAX_SEQUENCE_SAMPLES

@@ -10,7 +10,7 @@ import numpy as np
 from threedvc.coding.video.av1 import decode_av1
 from threedvc.coding.video.planes import VideoFormat, picture_of
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF, VideoConfig
-from threedvc.encoder.packetizer.color_video import HALVING, ColorVideoWriter, video_bytes
+from threedvc.encoder.packetizer.captured.color_video import HALVING, ColorVideoWriter, video_bytes
 from threedvc.encoder.rate.objective import MIN_SLOPE, ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence, sampling_stride

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from threedvc.coding.video.av1 import can_encode_av1, decode_av1
 from threedvc.coding.video.planes import VideoFormat
 from threedvc.decoder.replay import replay
-from threedvc.encoder.packetizer.depth_run import (
+from threedvc.encoder.packetizer.captured.depth_run import (
     DEPTH_BITS,
     DepthMaps,
     EncodedDepthRun,

@@ -9,9 +9,9 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from threedvc.coding.bounded_depth import encode_depth_frames
-from threedvc.coding.depth_bound import BoundKind, DepthBound, distinct_depths
-from threedvc.coding.saturated import pack_saturated
+from threedvc.coding.measured_depth.bounded_depth import encode_depth_frames
+from threedvc.coding.measured_depth.depth_bound import BoundKind, DepthBound, distinct_depths
+from threedvc.coding.measured_depth.saturated import pack_saturated
 from threedvc.config import DepthErrorConfig, DepthErrorKind
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.reconstruction.scene import Scene
