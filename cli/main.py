@@ -6,7 +6,7 @@ from __future__ import annotations
 import errno
 import os
 from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -14,7 +14,7 @@ from threedvc import __version__
 from threedvc.cli.decode import decode
 from threedvc.cli.encode import encode
 from threedvc.cli.explore import explore
-from threedvc.cli.signals import interrupt_word, signals_as_interrupts
+from threedvc.cli.signals import interrupt_behind, interrupt_word, signals_as_interrupts
 from threedvc.cli.stats import stats
 from threedvc.cli.synth import synth
 from threedvc.errors import ThreedvcError
@@ -41,14 +41,22 @@ class Commands(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except KeyboardInterrupt as error:
-            word, code = interrupt_word(error)
-            with suppress(OSError):  # a terminal that hung up is gone
-                click.echo("; ".join([word, *_notes(error)]), err=True)
-            ctx.exit(code)
+            _end(ctx, error)
         except Exception as error:
+            interrupt = interrupt_behind(error)
+            if interrupt is not None:
+                _end(ctx, interrupt)
             if os.environ.get(TRACEBACK_VARIABLE) or _is_broken_pipe(error):
                 raise
             raise click.ClickException(_message(error)) from None
+
+
+def _end(ctx: click.Context, interrupt: KeyboardInterrupt) -> NoReturn:
+    """Say what has ended the command, and exit."""
+    word, code = interrupt_word(interrupt)
+    with suppress(OSError):  # a terminal that hung up is gone
+        click.echo("; ".join([word, *_notes(interrupt)]), err=True)
+    ctx.exit(code)
 
 
 def _is_broken_pipe(error: Exception) -> bool:

@@ -10,7 +10,14 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TypeAlias
 
-__all__ = ["StopRequest", "Terminated", "interrupt_word", "signals_as_interrupts", "stop_on_signals"]
+__all__ = [
+    "StopRequest",
+    "Terminated",
+    "interrupt_behind",
+    "interrupt_word",
+    "signals_as_interrupts",
+    "stop_on_signals",
+]
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 WORDS = {"SIGINT": "Interrupted", "SIGTERM": "Terminated", "SIGHUP": "Hung up"}
@@ -41,6 +48,14 @@ class StopRequest:
     def __call__(self) -> bool:
         """Tell whether an end was asked for."""
         return self.number is not None
+
+
+def interrupt_behind(error: BaseException) -> KeyboardInterrupt | None:
+    """Return the interrupt that led to an error, if one did: one that comes within a lock may leave it in disorder."""
+    seen: BaseException | None = error
+    while seen is not None and not isinstance(seen, KeyboardInterrupt):
+        seen = seen.__context__
+    return seen
 
 
 def interrupt_word(error: KeyboardInterrupt) -> tuple[str, int]:
