@@ -215,10 +215,7 @@ def _captured_depth(
 ) -> Iterator[FrameChange]:
     sensor = state.sensor(header)
     run = timeline.convey("DEPTH_VIDEO", header)
-    if not state.wanted.depth:
-        return
-    if header.codec != VideoCodec.AV1 or not can_decode_av1():
-        state.unread_codecs["depth"] = header.codec
+    if not _shows_depth(state, header.codec):
         return
     video = VideoFormat(width=header.columns, height=header.rows, bits=header.bits, gray=True)
     pictures = (planes.luma for planes in decode_av1(payload, header.count, video))
@@ -233,15 +230,20 @@ def _earlier_captured_depth(
 ) -> Iterator[FrameChange]:
     sensor = state.sensor(header)
     run = timeline.convey("VIDEO", header)
-    if not state.wanted.depth:
-        return
-    if not can_decode_av1():
-        state.unread_codecs["depth"] = VideoCodec.AV1
+    if not _shows_depth(state, VideoCodec.AV1):
         return
     pictures = decode_earlier_run(payload, header.count, header.columns, header.rows)
     levels = depth_levels(header.nearest_m, header.ratio, EARLIER_BITS)
     for frame in run.frames:
         yield frame, partial(_show_next_depth, sensor, pictures, levels, header.complete)
+
+
+def _shows_depth(state: DecoderState, codec: int) -> bool:
+    """Tell whether depth of a codec is wanted and can be read; if it only cannot be read, note the codec."""
+    readable = codec == VideoCodec.AV1 and can_decode_av1()
+    if state.wanted.depth and not readable:
+        state.unread_codecs["depth"] = codec
+    return state.wanted.depth and readable
 
 
 def _show_next_depth(

@@ -28,42 +28,46 @@ class VideoHeader(SensorRunHeader):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ColorVideoHeader(SensorRunHeader):
-    """Color as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+class PictureRunHeader(SensorRunHeader):
+    """Base of the headers of videos.
 
     Attributes
     ----------
     columns, rows
-        Size of its pictures, which cover those of the color camera.
+        Size of the pictures, which cover those of the camera.
     codec
-        What its pictures are coded by, see `VideoCodec`.
+        What the pictures are coded by, see `VideoCodec`.
     bits
         Of a sample.
+    """
+
+    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
+    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
+    codec: int = key("c", integer(1, 255), default=1)
+    bits: int = key("b", integer(8, 16), default=10)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorVideoHeader(PictureRunHeader):
+    """Color as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
+
+    Attributes
+    ----------
     magnified
         Chroma is 1 + magnified/4 times as large as it is by its formula.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.COLOR_VIDEO
 
-    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
-    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
-    codec: int = key("c", integer(1, 255), default=1)
-    bits: int = key("b", integer(8, 16), default=10)
     magnified: int = key("m", integer(0, MAX_MAGNIFICATION), default=0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthVideoHeader(SensorRunHeader):
+class DepthVideoHeader(PictureRunHeader):
     """Depth as filmed in `count` frames of a sensor from `frame` on, which stands for the drawn one in these alone.
 
     Attributes
     ----------
-    columns, rows
-        Size of its pictures, which cover those of the depth camera.
-    codec
-        What its pictures are coded by, see `VideoCodec`.
-    bits
-        Of a sample.
     nearest_m, ratio
         Depth that the value 0 means, and of each value to the one before.
     complete
@@ -74,10 +78,6 @@ class DepthVideoHeader(SensorRunHeader):
 
     packet_type: ClassVar[PacketType] = PacketType.DEPTH_VIDEO
 
-    columns: int = key("w", integer(1, MAX_VIDEO_SIDE))
-    rows: int = key("h", integer(1, MAX_VIDEO_SIDE))
-    codec: int = key("c", integer(1, 255), default=1)
-    bits: int = key("b", integer(8, 16), default=10)
     nearest_m: float = key("z", number(1e-6, 1e6))
     ratio: float = key("r", number(1, 1.05))
     complete: bool = key("a", flag(), default=False)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import inf
 
@@ -19,7 +19,7 @@ from threedvc.encoder.rate.objective import ColorCost, objective
 from threedvc.encoder.rate.rate_control import MIDDLE_STEP, besides_surfaces, best_cells, cell_factor
 from threedvc.encoder.rate.trial_coding import coded_size, color_settings
 from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.frames.sequence import DownsampledSequence, sampling_stride
+from threedvc.frames.sequence import DownsampledSequence, FrameSequence, sampling_stride
 from threedvc.geometry.pose import Pose
 
 __all__ = [
@@ -93,20 +93,11 @@ def with_best_cells(state: Reconstruction, fusion: FusionPass, shifts: Sequence[
         return state
     least = MIN_CELL_FACTOR if shifts is None else MIN_SHIFTED_CELL_FACTOR
     step = sampling_stride(len(fusion.frames), TRIAL_FRAMES, state.info)
-    some = DownsampledSequence(fusion.frames, step)
-    poses = {number: found[::step] for number, found in state.poses.items()}
 
-    def tried(factor: float) -> float:
-        config = _wider(state.config, factor)
-        if factor < 1 and config.cell_factor < least:
-            return inf
-        scene = Scene(state.info, config, poses, state.scene.sequence_labels)
-        for frame in some:
-            scene.add(frame)
+    def error(scene: Scene, some: FrameSequence) -> float:
         return rate_distortion_at(scene, some, shifts and shifts[::step], budget)
 
-    factor = best_cells(tried)
-    return state if factor == 1 else _with_cells(state, fusion, factor)
+    return _with_cells_of_least_error(state, fusion, error, step, least)
 
 
 def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCost) -> Reconstruction:
@@ -118,22 +109,13 @@ def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCos
     if exact or state.config.voxel_size_m is not None or state.scene.objects[0].at_rest:
         return state
     step = sampling_stride(len(fusion.frames), GEOMETRY_TRIAL_FRAMES, state.info)
-    some = DownsampledSequence(fusion.frames, step)
-    poses = {number: found[::step] for number, found in state.poses.items()}
     others = besides_surfaces(len(state.reports))
 
-    def tried(factor: float) -> float:
-        config = _wider(state.config, factor)
-        if factor < 1 and config.cell_factor < MIN_CELL_FACTOR:
-            return inf
-        scene = Scene(state.info, config, poses, state.scene.sequence_labels)
-        for frame in some:
-            scene.add(frame)
+    def error(scene: Scene, some: FrameSequence) -> float:
         spent = others + surface_bytes(scene, MIDDLE_STEP, colored=False)
-        return objective(cost.at(spent), depth_misfit(scene, some), config.depth_weight)
+        return objective(cost.at(spent), depth_misfit(scene, some), scene.config.depth_weight)
 
-    factor = best_cells(tried, max_widenings=MAX_WIDENINGS)
-    return state if factor == 1 else _with_cells(state, fusion, factor)
+    return _with_cells_of_least_error(state, fusion, error, step, MIN_CELL_FACTOR, max_widenings=MAX_WIDENINGS)
 
 
 def with_relief_chosen(state: Reconstruction) -> Reconstruction:
@@ -161,6 +143,32 @@ def _wider(config: EncoderConfig, factor: float) -> EncoderConfig:
     """Return the choices with cells wider by a factor."""
     wider = np.clip(config.cell_factor * factor, 1 / MAX_CELL_FACTOR, MAX_CELL_FACTOR)
     return replace(config, cell_factor=float(wider))
+
+
+def _with_cells_of_least_error(
+    state: Reconstruction,
+    fusion: FusionPass,
+    error: Callable[[Scene, FrameSequence], float],
+    step: int,
+    min_cell_factor: float,
+    *,
+    max_widenings: int = 1,
+) -> Reconstruction:
+    """Take those cells with which every `step`-th frame has the least error, of some tried or between them."""
+    some = DownsampledSequence(fusion.frames, step)
+    poses = {number: found[::step] for number, found in state.poses.items()}
+
+    def tried(factor: float) -> float:
+        config = _wider(state.config, factor)
+        if factor < 1 and config.cell_factor < min_cell_factor:
+            return inf
+        scene = Scene(state.info, config, poses, state.scene.sequence_labels)
+        for frame in some:
+            scene.add(frame)
+        return error(scene, some)
+
+    factor = best_cells(tried, max_widenings=max_widenings)
+    return state if factor == 1 else _with_cells(state, fusion, factor)
 
 
 def _with_cells(state: Reconstruction, fusion: FusionPass, factor: float) -> Reconstruction:
