@@ -13,11 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 import threedvc
+from helpers.lossless import EXACT_COLORS
 from helpers.packet_changes import members_of, with_changed, written
 from threedvc.cli.main import main
 from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.coding.video.parts import unpack_parts
-from threedvc.config import ColorVideo, EncoderConfig, Motion, RenderConfig, VideoConfig
+from threedvc.config import RenderConfig
 from threedvc.decoder.decoder import Decoder
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.errors import CorruptStream
@@ -34,15 +35,7 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 pytestmark = pytest.mark.skipif(not can_encode_ffv1(), reason="this build of PyAV has no FFV1")
 
 FRAMES = 6
-CONFIG = EncoderConfig(
-    voxel_size_m=0.06,
-    motion=Motion.KNOWN,
-    color_video=ColorVideo.ON,
-    video=VideoConfig(lossless=True),
-    refine=False,
-    batch_frames=4,
-    threads=2,
-)
+CONFIG = replace(EXACT_COLORS, batch_frames=4)
 LOSSLESS = ["--lossless", "--preset", "fast", "--voxel-size", "6cm"]
 
 

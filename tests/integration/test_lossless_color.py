@@ -12,17 +12,15 @@ from click.testing import CliRunner
 
 import threedvc
 import threedvc.encoder.pipeline.encoder as encoder_module
+from helpers.lossless import EXACT_COLORS
 from helpers.packet_changes import members_of, with_changed, written
 from helpers.streams import ListSequence
 from threedvc.cli.main import main
 from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.config import (
     ColorVideo,
-    EncoderConfig,
-    Motion,
     Preset,
     RenderConfig,
-    VideoConfig,
     with_preset,
     with_quality,
 )
@@ -41,15 +39,7 @@ from threedvc.synthesis import SyntheticSequence, make_scene
 pytestmark = pytest.mark.skipif(not can_encode_ffv1(), reason="this build of PyAV has no FFV1")
 
 FRAMES = 5
-CONFIG = EncoderConfig(
-    voxel_size_m=0.06,
-    motion=Motion.KNOWN,
-    color_video=ColorVideo.ON,
-    video=VideoConfig(lossless=True),
-    refine=False,
-    batch_frames=3,
-    threads=2,
-)
+CONFIG = replace(EXACT_COLORS, batch_frames=3)
 
 
 def noisy(frame: Frame, gray: bool) -> Frame:
