@@ -66,7 +66,7 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
 @click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colors.  [default: 50]")
 @click.option("--favor", type=click.Choice(["color", "depth"]),
-              help="What gets more of the bytes where one is held against the other.  [default: neither]")  # fmt: skip
+              help="What gets more of the bytes of a file than usual.  [default: neither]")  # fmt: skip
 @click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
               help="Bits that tell where in a cell the surface passes.  [default: 1 if cheap]")  # fmt: skip
 @click.option("--depth-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,

@@ -67,7 +67,7 @@ class ColorCost:
         """Return the error of colors, or what counts for it, if other things take so many bytes."""
         if self.budget_bytes is None:
             return self.errors[0] + self._slope(0) * log(1 + spent_bytes / self.sizes[0])
-        return self._error(max(self.budget_bytes - spent_bytes, MIN_LEFT * abs(self.budget_bytes)))
+        return self._error(max(self.budget_bytes - spent_bytes, MIN_LEFT * abs(self.budget_bytes), 1.0))
 
     def _error(self, size: float) -> float:
         """Return the error of a video of a size, linear in logarithms between those known and beyond them."""
@@ -79,4 +79,5 @@ class ColorCost:
     def _slope(self, known: int) -> float:
         """Return the fall of the error over the rise of the logarithm of bytes from one of the videos to the next."""
         fall = self.errors[known] - self.errors[known + 1]
-        return max(fall / log(self.sizes[known + 1] / self.sizes[known]), MIN_SLOPE)
+        rise = log(self.sizes[known + 1] / self.sizes[known])
+        return max(fall / rise, MIN_SLOPE) if rise else MIN_SLOPE

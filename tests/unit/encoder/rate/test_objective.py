@@ -38,6 +38,17 @@ def test_a_video_that_hardly_gains_still_costs_something() -> None:
     assert flat.at(1000) - flat.at(0) == pytest.approx(MIN_SLOPE * log(2))
 
 
+@pytest.mark.parametrize("budget", [None, 1000.0])
+def test_videos_of_one_size_tell_no_slope_and_still_cost_something(budget: float | None) -> None:
+    same = ColorCost((500.0, 500.0), (4.0, 4.1), budget)
+    assert same.at(250) > same.at(0)
+
+
+def test_more_than_all_may_be_spent() -> None:
+    assert TRIED.beside(4000).at(0) > TRIED.at(3000)
+    assert TRIED.beside(5000).at(1000) > TRIED.at(3000)
+
+
 def test_below_the_coarsest_video_bytes_are_dear() -> None:
     bounded = ColorCost(TRIED.sizes, TRIED.errors, 4000.0, coarsest_bytes=1000.0)
     assert bounded.at(3500) > TRIED.at(3500) + 1
