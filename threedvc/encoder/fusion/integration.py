@@ -115,8 +115,10 @@ def fuse(
     sensor: SensorModel,
     config: FusionConfig,
     threads: int,
+    *,
+    in_color: bool = True,
 ) -> NDArray[np.int64]:
-    """Fuse one frame into one object.
+    """Fuse one frame into one object; unless `in_color` its depth alone.
 
     Parameters
     ----------
@@ -159,7 +161,8 @@ def fuse(
 
     for_ranges(depth_range, len(numbers), threads)
     model.log_odds[numbers] = np.clip(model.log_odds[numbers] + delta, -config.max_log_odds, config.max_log_odds)
-    for_ranges(color_range, len(numbers), threads)
+    if in_color:
+        for_ranges(color_range, len(numbers), threads)
     return numbers
 
 

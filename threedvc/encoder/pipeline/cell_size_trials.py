@@ -116,7 +116,9 @@ def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCos
         spent = others + surface_bytes(scene, MIDDLE_STEP, colored=False)
         return objective(cost.at(spent), depth_misfit(scene, some), scene.config.depth_weight)
 
-    return _with_cells_of_least_error(state, fusion, error, step, MIN_CELL_FACTOR, max_widenings=MAX_WIDENINGS)
+    return _with_cells_of_least_error(
+        state, fusion, error, step, MIN_CELL_FACTOR, max_widenings=MAX_WIDENINGS, in_color=False
+    )
 
 
 def with_relief_chosen(state: Reconstruction) -> Reconstruction:
@@ -154,6 +156,7 @@ def _with_cells_of_least_error(
     min_cell_factor: float,
     *,
     max_widenings: int = 1,
+    in_color: bool = True,
 ) -> Reconstruction:
     """Take those cells with which every `step`-th frame has the least error, of some tried or between them."""
     some = DownsampledSequence(fusion.frames, step)
@@ -163,7 +166,7 @@ def _with_cells_of_least_error(
         config = _wider(state.config, factor)
         if factor < 1 and config.cell_factor < min_cell_factor:
             return inf
-        scene = Scene(state.info, config, poses, state.scene.sequence_labels)
+        scene = Scene(state.info, config, poses, state.scene.sequence_labels, in_color=in_color)
         for frame in some:
             scene.add(frame)
         return error(scene, some)
