@@ -50,8 +50,8 @@ def decode_earlier_run(payload: bytes, count: int, width: int, height: int) -> I
     UnsupportedVersion
         If this build of PyAV cannot read AV1.
     """
-    header, pictures = unpack_units(payload[CONFIG_BYTES:])
     held = max(count, MIN_RUN)
+    header, pictures = unpack_units(payload[CONFIG_BYTES:], held)
     if len(pictures) != held:
         raise CorruptStream(f"a run of {len(pictures)} pictures should be one of {held}; the stream is damaged")
     found = _checked(read_sequence_header(header), width, height)
