@@ -125,7 +125,7 @@ def decode(
 
 
 def _unread(shown: str, codec: int) -> str:
-    decoders = {VideoCodec.AV1: "dav1d", VideoCodec.FFV1: "FFV1"}
+    decoders = {VideoCodec.AV1: "dav1d", VideoCodec.AV1_FULL_CHROMA: "dav1d", VideoCodec.FFV1: "FFV1"}
     remedy = f"install av with {decoders[VideoCodec(codec)]}" if codec in decoders else "use a newer 3dvc"
     models = {"color": "colors"}.get(shown, shown)
     return f"cannot decode its {shown} video (codec {codec}), so the pictures show the models' {models}; {remedy}"

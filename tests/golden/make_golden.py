@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Write the golden streams of this version, and what every golden stream decodes to.
 
-Run by ``make golden`` alone. Streams of earlier versions are never written again, nor those of 0.1.0-avif, whose
-pictures are AVIF as they were before this version was finished. What they decode to is, because the
+Run by ``make golden`` alone. Streams of earlier versions are never written again, nor those of 0.1.0-avif and
+0.1.0-ratio, written before this version was finished: by the former pictures are AVIF, by the latter each level of a
+depth video is the one before times a ratio. What they decode to is, because the
 renderer may change on purpose; their models may not, and the digest inside each stream holds that.
 """
 
@@ -81,7 +82,15 @@ CASES = {
         "room", EncoderConfig(color_video=ColorVideo.OFF, voxel_size_m=0.04, causal=True, batch_frames=3)
     ),
     "room_color_video": Case(
+        "room", replace(CAPTURED, color_video=ColorVideo.ON, video=VideoConfig(coarseness=64)), frames=6
+    ),
+    "room_full_chroma": Case(
         "room", replace(CAPTURED, color_video=ColorVideo.ON, video=VideoConfig(coarseness=40)), frames=6
+    ),
+    "room_live_video": Case(
+        "room",
+        EncoderConfig(voxel_size_m=0.04, video=VideoConfig(coarseness=64), causal=True, batch_frames=3),
+        frames=6,
     ),
     "room_depth_error": Case(
         "room",

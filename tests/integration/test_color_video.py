@@ -245,8 +245,8 @@ def test_depth_that_bends_has_a_video_too(tmp_path: Path) -> None:
 
 
 def test_what_cannot_have_a_video_says_so(sequence: SyntheticSequence, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match="a live stream cannot have a color video"):
-        replace(CONFIG, causal=True)
+    with pytest.raises(ConfigError, match="a live stream cannot be lossless"):
+        replace(CONFIG, causal=True, video=VideoConfig(lossless=True))
     with pytest.raises(ConfigError, match="frames that can be read again"):
         list(Encoder(sequence.info, CONFIG).packets(iter(sequence)))
     monkeypatch.setattr(encoder_module, "can_encode_av1", lambda: False)

@@ -32,10 +32,16 @@ def _value(plane: NDArray[np.uint16], rows: list[tuple[int, int]], columns: list
 
 
 def shown_picture(
-    planes: tuple[NDArray[np.uint16], ...], size: tuple[int, int], bits: int, magnified: int
+    planes: tuple[NDArray[np.uint16], ...],
+    size: tuple[int, int],
+    bits: int,
+    magnified: int,
+    *,
+    full_chroma: bool = False,
 ) -> NDArray[np.uint8]:
     """Return the picture (h, w, 3) of a size (w, h) that luma, Co and Cg show."""
     width, height = size
+    half_chroma = not full_chroma
     rows, columns = planes[0].shape
     result = np.zeros((height, width, 3), np.uint8)
     middle, unit = 256 << (bits - 1), (4 + magnified) * (256 << (bits - 8))
@@ -43,7 +49,7 @@ def shown_picture(
         for x in range(width):
             luma, co, cg = (
                 _value(plane, _around(y, height, rows, half), _around(x, width, columns, half))
-                for plane, half in zip(planes, (False, True, True), strict=True)
+                for plane, half in zip(planes, (False, half_chroma, half_chroma), strict=True)
             )
             luma, co, cg = (4 + magnified) * luma, 4 * (co - middle), 4 * (cg - middle)
             for k, value in enumerate((luma - cg + co, luma + cg, luma - cg - co)):

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 from threedvc.config.choices import ColorVideo, DepthErrorKind, DepthVideo, Favor, Motion, Sensor
 from threedvc.config.stages import (
+    MIDDLE_PSNR_DB,
     AppearanceConfig,
     ColorConfig,
     DepthErrorConfig,
@@ -99,7 +101,7 @@ class EncoderConfig:
     depth_error: DepthErrorConfig = field(default_factory=DepthErrorConfig)
     depth_weight: float = DEPTH_WEIGHTS[Favor.NEITHER]
     color_video: ColorVideo = ColorVideo.AUTO
-    video: VideoConfig = field(default_factory=VideoConfig)
+    video: VideoConfig = field(default_factory=partial(VideoConfig, min_psnr_db=MIDDLE_PSNR_DB))
     causal: bool = False
     batch_frames: int | None = None
     threads: int = field(default_factory=default_threads)
@@ -124,8 +126,8 @@ class EncoderConfig:
             )
         if self.causal and self.depth_video is DepthVideo.ON:
             raise ConfigError("a live stream cannot have a depth video; leave out --depth-video on or --preset live")
-        if self.causal and self.color_video is ColorVideo.ON:
-            raise ConfigError("a live stream cannot have a color video; leave out --color-video on or --preset live")
+        if self.causal and self.video.lossless:
+            raise ConfigError("a live stream cannot be lossless; leave out --lossless or --preset live")
         if self.causal and self.depth_error.kind is not DepthErrorKind.MODEL:
             raise ConfigError(
                 "a live stream cannot hold depth within a bound; leave out --depth-error or --preset live"

@@ -12,6 +12,7 @@ from threedvc.config.stages import (
     MAX_COARSENESS,
     MAX_STEP,
     MIDDLE_COARSENESS,
+    MIDDLE_PSNR_DB,
     MIN_CRF,
     ROUNDS,
     VIDEO_PRESETS,
@@ -30,6 +31,8 @@ QUALITY_PER_CELL = 50
 """More halve the edge of cells (decision 0010): once to either side, as it makes four times as many."""
 COARSENESS_PER_QUALITY = 1.1
 """By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32 to the coarsest."""
+PSNR_PER_QUALITY, PSNR_PER_LOW_QUALITY = 0.275, 0.4
+"""By which quality 90 has 40 dB at least, on noisy recordings, too; below the middle about as coarseness goes."""
 VIDEO_QUALITY = 32
 """The least with a color video, the coarsest there is; below are models in their own colors, at the rates of the
 paper."""
@@ -39,7 +42,8 @@ def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
     """Return the choices for a quality of 1 to 100; 50 is the default.
 
     Sixteen more halve the quantization steps of colors, fifty more the edge of a cell. Below `VIDEO_QUALITY` there is
-    no color video unless it is asked for.
+    no color video unless it is asked for. A video is as coarse as the quality says, but has 29 dB at 50 and 40 dB at
+    90 at least.
 
     Raises
     ------
@@ -55,7 +59,11 @@ def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
         config,
         color=with_step(middle.luma_step * finer),
         cell_factor=2.0 ** ((MIDDLE_QUALITY - quality) / QUALITY_PER_CELL),
-        video=replace(config.video, coarseness=_coarseness(quality)),
+        video=replace(
+            config.video,
+            coarseness=_coarseness(quality),
+            min_psnr_db=_min_psnr_db(quality),
+        ),
         color_video=ColorVideo.OFF if too_low else config.color_video,
     )
 
@@ -63,6 +71,11 @@ def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
 def _coarseness(quality: int) -> float:
     coarseness = MIDDLE_COARSENESS + COARSENESS_PER_QUALITY * (MIDDLE_QUALITY - quality)
     return min(max(round(4 * coarseness) / 4, MIN_CRF), MAX_COARSENESS)
+
+
+def _min_psnr_db(quality: int) -> float:
+    above = quality - MIDDLE_QUALITY
+    return MIDDLE_PSNR_DB + (PSNR_PER_QUALITY if above > 0 else PSNR_PER_LOW_QUALITY) * above
 
 
 def with_lossless(config: EncoderConfig) -> EncoderConfig:
@@ -83,7 +96,7 @@ def with_step(luma_step: float) -> ColorConfig:
 def with_preset(config: EncoderConfig, preset: Preset) -> EncoderConfig:
     """Return the choices for an amount of work."""
     if preset is Preset.LIVE:
-        return replace(config, causal=True)
+        return replace(config, causal=True, video=replace(config.video, preset=VIDEO_PRESETS[preset]))
     return replace(
         config,
         refine=preset is not Preset.FAST,

@@ -37,7 +37,9 @@ ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
 MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 76.0, 56.0
 """Coarseness of a video: the finest quantization of AV1, the coarsest with pictures of half the size, and that of the
 middle quality, at which recordings of hand-held cameras have 33 dB and more."""
-VIDEO_PRESETS = {"fast": 7, "medium": 4, "slow": 2}
+MIDDLE_PSNR_DB = 29.3
+"""PSNR that a video of the middle quality has at least, on noisy recordings, too: what looks right at first sight."""
+VIDEO_PRESETS = {"live": 9, "fast": 7, "medium": 4, "slow": 2}
 """Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 takes 2.5 times as long for 7 % fewer
 bytes."""
 
@@ -199,6 +201,9 @@ class VideoConfig:
     coarseness
         From 1, the finest, to 76 in quarters: quantization of AV1 (its CRF), the last of them with smaller pictures;
         about seven more halve the bytes. Of no meaning with a rate.
+    min_psnr_db
+        Mean PSNR of the pictures, of red, green and blue, that they have at least without a rate: the video is less
+        coarse where it takes that.
     preset
         Work of the encoder, the most at 0.
     lossless
@@ -207,6 +212,7 @@ class VideoConfig:
     """
 
     coarseness: float = MIDDLE_COARSENESS
+    min_psnr_db: float = 0.0
     preset: int = VIDEO_PRESETS["medium"]
     lossless: bool = False
 

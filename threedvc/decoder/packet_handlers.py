@@ -23,6 +23,7 @@ from threedvc.coding.relief import decode_relief
 from threedvc.coding.texture import decode_texture
 from threedvc.coding.update import decode_update
 from threedvc.coding.video.av1 import can_decode_av1, decode_av1
+from threedvc.coding.video.color_runs import decode_color, video_format
 from threedvc.coding.video.earlier import EARLIER_BITS, decode_earlier_run, decode_earlier_still
 from threedvc.coding.video.ffv1 import EXACT_BITS, can_decode_ffv1, decode_ffv1
 from threedvc.coding.video.jpeg import decode_jpeg_files
@@ -66,6 +67,8 @@ Change: TypeAlias = Callable[[], None]
 FrameChange: TypeAlias = tuple[int, Change]
 Handler: TypeAlias = Callable[[DecoderState, BatchTimeline, Header, bytes], Iterable[FrameChange]]
 H = TypeVar("H", bound=Header)
+LOSSY_CODECS: Final = (VideoCodec.AV1, VideoCodec.AV1_FULL_CHROMA)
+"""Whose pictures are planes of luma and chroma."""
 EXACT_CODECS: Final = (VideoCodec.FFV1, VideoCodec.JPEG)
 """Whose pictures are shown as they are."""
 
@@ -220,7 +223,7 @@ def _captured_depth(
     video = VideoFormat(width=header.columns, height=header.rows, bits=header.bits, gray=True)
     pictures = (planes.luma for planes in decode_av1(payload, header.count, video))
     tiles = unpack_tiles(header.tiles, header.rows, header.columns)
-    levels = depth_levels(header.nearest_m, header.ratio, header.bits)
+    levels = depth_levels(header.nearest_m, header.ratio, header.bits, header.law)
     for frame in run.frames:
         yield frame, partial(_show_next_depth, sensor, pictures, levels, header.complete, tiles)
 
@@ -275,11 +278,9 @@ def _captured_color(
 
 def _color_pictures(sensor: SensorState, header: ColorVideoHeader, payload: bytes) -> Iterator[ShownColor] | None:
     """Check a video, and return an iterator that decodes its pictures, or None if that cannot be done here."""
-    video = VideoFormat(
-        width=header.columns, height=header.rows, bits=header.bits, magnified=header.magnified, gray=sensor.header.gray
-    )
-    if header.codec == VideoCodec.AV1 and can_decode_av1():
-        return (CapturedColor(planes=planes, video=video) for planes in decode_av1(payload, header.count, video))
+    video = video_format(header, gray=sensor.header.gray)
+    if header.codec in LOSSY_CODECS and can_decode_av1():
+        return (CapturedColor(planes=planes, video=video) for planes in decode_color(payload, header.count, video))
     if header.codec not in EXACT_CODECS or (header.codec == VideoCodec.FFV1 and not can_decode_ffv1()):
         return None
     camera = sensor.rig.color

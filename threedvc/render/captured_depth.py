@@ -2,12 +2,13 @@
 """Depth as it was captured, where rigid models cannot tell it: what a frame of a depth video shows.
 
 Sensors that guess between few measurements give a surface another shape in every frame. The stream may carry a video
-of such depth beside the models: small pictures in logarithmic units, which stand for drawn depth in frames as captured.
+of such depth beside the models: small pictures of levels, which stand for drawn depth in frames as captured.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ __all__ = [
     "EDGE",
     "TILE",
     "CapturedDepth",
+    "DepthLaw",
     "depth_levels",
     "pack_tiles",
     "tile_grid",
@@ -75,9 +77,24 @@ def tiles_of_pixels(sizes: tuple[int, int], shape: tuple[int, int]) -> tuple[NDA
     return down, across
 
 
-def depth_levels(nearest_m: float, ratio: float, bits: int) -> NDArray[np.float64]:
-    """Return the depths (2^bits,) in meters of sample values, each `ratio` times the one before."""
-    return np.multiply.accumulate(np.concatenate([[nearest_m], np.full((1 << bits) - 1, ratio)]))
+class DepthLaw(IntEnum):
+    """How depths go with sample values from the first to the last: by one ratio, or by steps of their inverse root."""
+
+    RATIO = 0
+    INVERSE_ROOT = 1
+
+
+def depth_levels(nearest_m: float, ratio: float, bits: int, law: int = DepthLaw.RATIO) -> NDArray[np.float64]:
+    """Return the depths (2^bits,) in meters of sample values, by a `DepthLaw`.
+
+    They ascend from `nearest_m` to as much as values make of it of which each is `ratio` times the one before.
+    """
+    geometric = np.multiply.accumulate(np.concatenate([[nearest_m], np.full((1 << bits) - 1, ratio)]))
+    if law == DepthLaw.RATIO:
+        return geometric
+    first, last = 1 / np.sqrt(geometric[[0, -1]])
+    roots = first - (first - last) * (np.arange(1 << bits) / ((1 << bits) - 1))
+    return np.asarray(1 / (roots * roots))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

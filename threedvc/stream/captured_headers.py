@@ -69,11 +69,13 @@ class DepthVideoHeader(PictureRunHeader):
     Attributes
     ----------
     nearest_m, ratio
-        Depth that the value 0 means, and of each value to the one before.
+        Depth that the value 0 means, and of each value to the one before, with law 1 on an average.
     complete
         Whether something is everywhere, also where nothing is drawn.
     tiles
         Where the pictures are shown, see `threedvc.render.captured_depth.pack_tiles`; empty: everywhere.
+    law
+        How depths go with values, see `threedvc.render.captured_depth.DepthLaw`.
     """
 
     packet_type: ClassVar[PacketType] = PacketType.DEPTH_VIDEO
@@ -82,6 +84,7 @@ class DepthVideoHeader(PictureRunHeader):
     ratio: float = key("r", number(1, 1.05))
     complete: bool = key("a", flag(), default=False)
     tiles: bytes = key("t", bitmap(MAX_TILE_BYTES), default=b"")
+    law: int = key("l", integer(0, 1), default=0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,11 +58,12 @@ class PacketType(IntEnum):
 
 
 class VideoCodec(IntEnum):
-    """What the pictures of a COLOR_VIDEO, a DEPTH_VIDEO or a BACKGROUND are coded by; FFV1 is for the first alone."""
+    """What the pictures of a COLOR_VIDEO are coded by; those of a DEPTH_VIDEO or a BACKGROUND are AV1."""
 
     AV1 = 1
     FFV1 = 2
     JPEG = 3
+    AV1_FULL_CHROMA = 4
 
 
 RESERVED_TYPES = frozenset({PacketType.SNAPSHOT})

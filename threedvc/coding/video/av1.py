@@ -24,6 +24,7 @@ from threedvc.coding.video.scheduling import SchedulingGuard
 from threedvc.errors import CorruptStream, UnsupportedVersion
 
 __all__ = [
+    "Av1Encoder",
     "Av1Settings",
     "can_decode_av1",
     "can_encode_av1",
@@ -110,23 +111,40 @@ def encode_av1(pictures: Iterable[Planes], video: VideoFormat, settings: Av1Sett
     UnsupportedVersion
         If this build of PyAV cannot write it.
     """
-    if not can_encode_av1():
-        raise UnsupportedVersion("this build of PyAV cannot write AV1; install av 14 or newer with libsvtav1")
-    os.environ.setdefault(*LOG_LEVEL)
-    guard = SchedulingGuard()
-    context = _encoder_context(video, settings)
-    context.open()
-    guard.restore()
-    packets: list[bytes] = []
-    for number, planes in enumerate(pictures):
-        packets += map(bytes, context.encode(_frame(planes, context, number)))
-    packets += map(bytes, context.encode(None))
-    try:
-        payload = pack_units(packets)
-        unpack_units(payload)
-        return payload
-    except (ValueError, CorruptStream) as error:
-        raise UnsupportedVersion(f"this build of PyAV writes AV1 of an unusual make: {error}") from None
+    encoder = Av1Encoder(video, settings)
+    for planes in pictures:
+        encoder.add(planes)
+    return encoder.payload()
+
+
+class Av1Encoder:
+    """Writes the payload of a run, picture by picture; raises as `encode_av1` does."""
+
+    def __init__(self, video: VideoFormat, settings: Av1Settings) -> None:
+        if not can_encode_av1():
+            raise UnsupportedVersion("this build of PyAV cannot write AV1; install av 14 or newer with libsvtav1")
+        os.environ.setdefault(*LOG_LEVEL)
+        guard = SchedulingGuard()
+        self._context = _encoder_context(video, settings)
+        self._context.open()
+        guard.restore()
+        self._count = 0
+        self._packets: list[bytes] = []
+
+    def add(self, planes: Planes) -> None:
+        """Take in the next picture."""
+        self._packets += map(bytes, self._context.encode(_frame(planes, self._context, self._count)))
+        self._count += 1
+
+    def payload(self) -> bytes:
+        """Return the payload; no picture can follow."""
+        self._packets += map(bytes, self._context.encode(None))
+        try:
+            payload = pack_units(self._packets)
+            unpack_units(payload)
+            return payload
+        except (ValueError, CorruptStream) as error:
+            raise UnsupportedVersion(f"this build of PyAV writes AV1 of an unusual make: {error}") from None
 
 
 def _encoder_context(video: VideoFormat, settings: Av1Settings) -> Any:

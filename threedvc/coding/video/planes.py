@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a video as they are coded: luma, and two planes of chroma of half its rows and columns.
+"""Pictures of a video as they are coded: luma, and two planes of chroma of half its rows and columns, or all of them.
 
 Luma is Y = (R + 2 G + B) / 4, chroma Co = (R - B) / 2 and Cg = (2 G - R - B) / 4, the latter magnified as far as none
 is clipped: an error of a chroma sample shows in four pixels. Going back is integer arithmetic (docs/drawing.md).
@@ -53,7 +53,7 @@ class Planes(NamedTuple):
     luma
         (h, w) uint16, as all.
     orange, green
-        ((h + 1) // 2, (w + 1) // 2) Co and Cg plus the middle of the range.
+        ((h + 1) // 2, (w + 1) // 2), or (h, w), Co and Cg plus the middle of the range.
     """
 
     luma: Samples
@@ -75,6 +75,8 @@ class VideoFormat:
         Chroma is 1 + magnified/4 times as large as its formula says.
     gray
         Whether chroma means nothing.
+    full_chroma
+        Whether chroma has all rows and columns of luma, not half of them.
     """
 
     width: int
@@ -82,10 +84,13 @@ class VideoFormat:
     bits: int
     magnified: int = 0
     gray: bool = False
+    full_chroma: bool = False
 
     @property
     def chroma_shape(self) -> tuple[int, int]:
         """Rows and columns of a chroma plane."""
+        if self.full_chroma:
+            return self.height, self.width
         return -(-self.height // 2), -(-self.width // 2)
 
 
@@ -149,7 +154,8 @@ def planes_of(picture: Picture, video: VideoFormat) -> Planes:
         return gray_planes(_sampled(luma, video.bits), video)
     larger, middle = np.float32(1 + video.magnified / 4), np.float32(128)
     whole = (_shrunk(each, video.height, video.width) for each in ((red - blue) / 2, (2 * green - red - blue) / 4))
-    orange, green = (_sampled(larger * _halved(plane) + middle, video.bits) for plane in whole)
+    chroma = whole if video.full_chroma else map(_halved, whole)
+    orange, green = (_sampled(larger * plane + middle, video.bits) for plane in chroma)
     return Planes(_sampled(luma, video.bits), orange, green)
 
 
@@ -175,7 +181,8 @@ def _sampled(levels: Floats, bits: int) -> Samples:
 def picture_of(planes: Planes, video: VideoFormat, width: int, height: int, threads: int) -> Picture:
     """Return the picture (height, width, 3) that planes are magnified to, as docs/drawing.md says."""
     across, down = _taps(width, video.width), _taps(height, video.height)
-    across_chroma, down_chroma = _taps(width, video.width, half=True), _taps(height, video.height, half=True)
+    half = not video.full_chroma
+    across_chroma, down_chroma = _taps(width, video.width, half=half), _taps(height, video.height, half=half)
     luma = _stretched(planes.luma, across, threads)
     picture = np.empty((height, width, 3), dtype=np.uint8)
     if video.gray:

@@ -9,7 +9,7 @@ pictures alone; when the frames are fused anew at these poses, `fit_appearance` 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,6 @@ from threedvc.geometry.pose import Pose
 
 __all__ = ["FittedAppearance", "align_pictures", "align_poses", "fit_appearance", "fit_geometry"]
 
-COLORLESS = 128
-"""The gray of cells that have no colors of their own."""
 MIN_ALIGNMENT_SAVING = 0.02
 """Share of the squared error that other poses must save: exact ones are not to be moved by the noise of the fit."""
 
@@ -127,10 +125,7 @@ def fit_geometry(scene: Scene, frames: FrameSequence) -> FittedAppearance:
     state = FitState(scene, frames)
     drop_hidden_cells(state)
     return FittedAppearance(
-        surfaces={
-            number: replace(surface, colors=np.full_like(surface.colors, COLORLESS))
-            for number, surface in state.surfaces.items()
-        },
+        surfaces={number: surface.without_colors() for number, surface in state.surfaces.items()},
         colors=state.colors,
         gains=state.gains,
         shifts=[],

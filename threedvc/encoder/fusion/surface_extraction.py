@@ -24,6 +24,8 @@ __all__ = ["MIN_NEIGHBORS", "Surface", "extract_surface", "grouped_by_region"]
 MIN_WEIGHT = 0.02
 """Weight of a cell's signed distance, in units of the sensor's at 1 m, with which it counts as measured: a fiftieth, as
 a measurement at a picture's border has (decision 0011)."""
+COLORLESS = 128
+"""The gray of cells that have no colors of their own."""
 MIN_NEIGHBORS = 3
 """Cells of a surface that touch a cell of it, of 26: specks of fewer than four cells are noise."""
 SMOOTHING_PASSES = 3
@@ -68,6 +70,10 @@ class Surface:
             subvoxel_offsets=self.subvoxel_offsets[chosen],
             importance=None if self.importance is None else self.importance[chosen],
         )
+
+    def without_colors(self) -> Surface:
+        """Return the cells in gray."""
+        return replace(self, colors=np.full_like(self.colors, COLORLESS))
 
     def offsets_at(self, cells: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return the crossings (n, 3) of some of its cells (n, 3)."""

@@ -51,12 +51,20 @@ class ModelPackets:
         What the fit to the pictures found; None: the mean colors of the evidence.
     background
         How the stream shows the background.
+    colored
+        Whether cells of evidence have its colors; else a video shows them.
     """
 
     def __init__(
-        self, scene: SceneSource, config: EncoderConfig, fitted: FittedAppearance | None, background: BackgroundChoice
+        self,
+        scene: SceneSource,
+        config: EncoderConfig,
+        fitted: FittedAppearance | None,
+        background: BackgroundChoice,
+        *,
+        colored: bool = True,
     ) -> None:
-        self._scene, self._config = scene, config
+        self._scene, self._config, self._colored = scene, config, colored
         self._fitted, self._background = fitted, background
         self._color = color_settings(config.color, scene.info.gray)
         # Number of the object of completed surfaces, and the edge of its cells in meters.
@@ -143,7 +151,7 @@ class ModelPackets:
         """Return what is to be sent of an object, as a live encoder knows it, or as the finished surface has it."""
         if self._config.causal:
             evidence = self._scene.objects[sent.number].evidence
-            return incremental_update(evidence, sent.unquantized, self._config.threads)
+            return incremental_update(evidence, sent.unquantized, self._config.threads, colored=self._colored)
         return first_visible_update(self._surface(sent), sent.model, until_frame)
 
     def _surface(self, sent: SentObject) -> Surface:

@@ -18,6 +18,7 @@ from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
 from threedvc.encoder.packetizer.background_choice import COLORED_CELLS, BackgroundChoice
 from threedvc.encoder.packetizer.batch_budget import BatchBudget, packed_bytes
+from threedvc.encoder.packetizer.captured.live_color_video import LIVE_VIDEO_SHARE, LiveColorVideo
 from threedvc.encoder.packetizer.model_packets import ModelPackets
 from threedvc.encoder.packetizer.pose_packets import pose_packets, shift_packets, stream_poses
 from threedvc.encoder.packetizer.scene_source import BatchFrames, SceneSource
@@ -65,6 +66,8 @@ class Packetizer:
         Filter of the pictures, or None.
     videos
         VIDEO, COLOR_VIDEO and RESIDUAL packets, those of each sort and sensor in the order of their frames.
+    live_video
+        Codes the pictures of each batch when it is sent, in place of the models' colors; None: nothing does.
     """
 
     def __init__(
@@ -75,11 +78,12 @@ class Packetizer:
         background: BackgroundChoice = COLORED_CELLS,
         filters: PostFilter | None = None,
         videos: Sequence[Packet] = (),
+        live_video: LiveColorVideo | None = None,
     ) -> None:
-        self._scene, self._fitted = scene, fitted
+        self._scene, self._fitted, self._live_video = scene, fitted, live_video
         self._background, self._filters, self._videos = background, filters, videos
         self._sent = SentState(scene, pose_steps(scene, config.pose))
-        self._models = ModelPackets(scene, config, fitted, background)
+        self._models = ModelPackets(scene, config, fitted, background, colored=live_video is None)
         self._budget = BatchBudget(config, scene.info.fps, self.stream_headers())
         self._max_idle = MAX_IDLE_FRAMES
         if config.causal:
@@ -110,7 +114,11 @@ class Packetizer:
         told = [report_packet(self._untold[at : at + MAX_COUNT]) for at in range(0, len(self._untold), MAX_COUNT)]
         needed = [packet for entry in entries for packet in entry.packets]
         budget_bytes = self._budget.open_batch(batch.count, [*others, *told, *needed], last=last)
-        members = [*self._object_members(entries, batch, budget_bytes, last=last), *others]
+        for_models = budget_bytes if self._live_video is None else (1 - LIVE_VIDEO_SHARE) * budget_bytes
+        members = [*self._object_members(entries, batch, for_models, last=last), *others]
+        if self._live_video is not None:
+            spent = packed_bytes(members) - packed_bytes([*others, *needed])
+            members += self._live_video.packets(batch, budget_bytes - spent)
         if not members and not (last and told) and stop - self._batched <= self._max_idle:
             return None
         packet = pack_batch(BatchHeader(frame=first, count=batch.count), [*members, *told])
@@ -160,11 +168,12 @@ class Packetizer:
     def _sensor_members(self, batch: BatchFrames) -> Iterator[Packet]:
         """Yield what changes of sensors: their order, clocks, shifts and gains."""
         fitted, scene = self._fitted, self._scene
-        gains = np.stack([record.gain for record in scene.records]) if fitted is None else fitted.gains
         yield from order_packets(self._sent, scene, batch)
         yield from clock_packets(self._sent, scene, batch)
         yield from shift_packets(self._sent, scene, () if fitted is None else fitted.shifts, batch)
-        yield from gain_packets(self._sent, scene, gains, batch)
+        if self._live_video is None:
+            gains = np.stack([record.gain for record in scene.records]) if fitted is None else fitted.gains
+            yield from gain_packets(self._sent, scene, gains, batch)
 
     def _picture_members(self, batch: BatchFrames) -> Iterator[Packet]:
         """Yield what belongs to pictures: the background's image and the filter with the first frame, videos, times."""

@@ -7,30 +7,36 @@ room before a camera in a hand never looks as sharp as its pictures. Nothing but
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import ColorVideo, DepthErrorKind
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance, fit_appearance, fit_geometry
 from threedvc.encoder.appearance.rate_distortion import least_color_error
-from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter
-from threedvc.encoder.packetizer.captured.color_video_trials import color_cost
+from threedvc.encoder.packetizer.captured.color_video_trials import ColorVideoTrials
 from threedvc.encoder.packetizer.captured.depth_residual import residual_packets
 from threedvc.encoder.pipeline.budget import bits_per_second, stream_budget
+from threedvc.encoder.pipeline.cell_size_trials import with_coarse_cells
 from threedvc.encoder.pipeline.color_video_stream import color_video_stream
 from threedvc.encoder.pipeline.decoded_error import decoded_error
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
 from threedvc.encoder.pipeline.offline_passes import improve, improve_geometry
 from threedvc.encoder.pipeline.rate_search import rated_stream
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices, batch_length
+from threedvc.encoder.rate.objective import objective
 from threedvc.encoder.rate.rate_control import stream_bytes
-from threedvc.stream.packets import Packet
+from threedvc.stream.batch import unpack_batch
+from threedvc.stream.captured_headers import DepthVideoHeader
+from threedvc.stream.packets import Packet, PacketType
 
 __all__ = ["FileStream", "file_stream"]
 
 HOPE = 0.6
 """By how much the logarithm of the squared error of models' colors may fall from a quick fit to the end, at most: 2.6
 dB; aligned poses, a filter and narrower cells gave 0.5 to 2 (decision 0032)."""
+MIN_GAIN = 0.05
+"""What coarse cells must gain beside a video of all depth: fine ones draw other viewpoints better."""
 OVER_BUDGET = 1.05
 """Times the bytes of a rate that a stream may take: as far as `3dvc encode --bitrate` promises to come."""
 
@@ -58,18 +64,46 @@ def file_stream(found: Reconstruction, fusion: FusionPass) -> FileStream:
         return filmed
     rate = found.config.bitrate_bps or bits_per_second(found, stream_bytes(filmed.packets))
     painted = _with_model_colors(replace(found, config=replace(found.config, bitrate_bps=rate)), fusion)
-    better = decoded_error(painted.packets, painted.state.scene, fusion.frames).total < error.total
-    return painted if better or not within else filmed
+    if not within:
+        return painted
+    other = decoded_error(painted.packets, painted.state.scene, fusion.frames)
+    good = budget is not None or other.psnr_db >= found.config.video.min_psnr_db
+    return painted if good and other.total < error.total else filmed
 
 
 def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
     """Let a video show the colors."""
-    writer = ColorVideoWriter(found.scene, fusion.frames, batch_length(found.info, found.config, video=True))
-    cost = color_cost(writer, found.scene, fusion.frames, found.config.video, stream_budget(found))
-    state = improve_geometry(found, fusion, cost)
-    fitted = fit_geometry(state.scene, fusion.frames)
-    builder = _builder(state, fitted, fusion, video=True)
-    return FileStream(state, color_video_stream(builder, fusion.frames, writer, cost))
+    trials = ColorVideoTrials(found.scene, fusion.frames, batch_length(found.info, found.config, video=True))
+    cost = trials.cost(stream_budget(found))
+
+    def stream(state: Reconstruction) -> FileStream:
+        fitted = fit_geometry(state.scene, fusion.frames)
+        builder = _builder(state, fitted, fusion, video=True)
+        return FileStream(state, color_video_stream(builder, fusion.frames, trials, cost))
+
+    def error(made: FileStream) -> float:
+        misfit = decoded_error(made.packets, made.state.scene, fusion.frames).misfit
+        colors = sum(len(packet.payload) for packet in _members(made.packets, PacketType.COLOR_VIDEO))
+        others = cost.at(stream_bytes(made.packets) - colors)
+        return objective(others, misfit, found.config.depth_weight)
+
+    fine = stream(improve_geometry(found, fusion, cost))
+    if not _shows_all_depth(fine.packets) or found.config.voxel_size_m is not None:
+        return fine
+    coarse = stream(with_coarse_cells(fine.state, fusion))
+    return coarse if error(coarse) < error(fine) - MIN_GAIN else fine
+
+
+def _shows_all_depth(packets: Sequence[Packet]) -> bool:
+    """Tell whether videos show depth, and do so everywhere."""
+    videos = _members(packets, PacketType.DEPTH_VIDEO)
+    return bool(videos) and not any(DepthVideoHeader.from_map(packet.header).tiles for packet in videos)
+
+
+def _members(packets: Sequence[Packet], kind: PacketType) -> list[Packet]:
+    """Return the packets of a kind that lie in the BATCHes of a stream."""
+    batches = (packet for packet in packets if packet.type == PacketType.BATCH)
+    return [member for batch in batches for member in unpack_batch(batch) if member.type == kind]
 
 
 def _with_model_colors(found: Reconstruction, fusion: FusionPass) -> FileStream:

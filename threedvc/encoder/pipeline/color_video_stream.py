@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter
+from threedvc.encoder.packetizer.captured.color_video_trials import ColorVideoTrials
 from threedvc.encoder.pipeline.budget import stream_budget
 from threedvc.encoder.pipeline.rate_search import depth_videos
 from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoices
@@ -21,7 +21,7 @@ MIN_VIDEO_SHARE = 0.1
 
 
 def color_video_stream(
-    builder: StreamBuilder, frames: FrameSequence, writer: ColorVideoWriter, cost: ColorCost
+    builder: StreamBuilder, frames: FrameSequence, trials: ColorVideoTrials, cost: ColorCost
 ) -> list[Packet]:
     """Return all packets, with a video of colors, and one of depth where it is worth what it costs."""
     state = builder.state
@@ -30,8 +30,9 @@ def color_video_stream(
 
     def colors(others: Sequence[Packet]) -> list[Packet]:
         if budget is None:
-            return writer.packets(state.config.video.coarseness)
-        return writer.packets_within(max(budget - stream_bytes(others), MIN_VIDEO_SHARE * budget))
+            return trials.writer.packets(trials.of_quality())
+        left = max(budget - stream_bytes(others), MIN_VIDEO_SHARE * budget)
+        return trials.writer.packets(trials.within(left))
 
     video = colors(bare)
     packets = _built(builder, video)

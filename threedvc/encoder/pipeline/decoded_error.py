@@ -14,6 +14,7 @@ from threedvc.encoder.rate.objective import objective
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence, sampling_stride
 from threedvc.metrics.depth_errors import shown_depth_error
+from threedvc.metrics.picture_quality import psnr
 from threedvc.stream.packets import Packet
 
 __all__ = ["DecodedError", "decoded_error"]
@@ -29,12 +30,18 @@ class DecodedError(NamedTuple):
     ----------
     color
         Mean over frames of the logarithm of the mean squared error plus one.
+    misfit
+        Of the depth.
     total
-        The objective, with the depth's misfit beside that.
+        The objective of both.
+    psnr_db
+        Mean over frames of the PSNR of colors.
     """
 
     color: float
+    misfit: float
     total: float
+    psnr_db: float
 
 
 def decoded_error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence) -> DecodedError:
@@ -52,6 +59,7 @@ def decoded_error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence
     threads = scene.config.threads
     every = sampling_stride(len(frames), SAMPLED_FRAMES, frames.info)
     colors: list[float] = []
+    decibels: list[float] = []
     depths = []
 
     def wanted(state: FrameState) -> bool:
@@ -62,6 +70,9 @@ def decoded_error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence
         color, depth = replayed.shown()
         squares = np.square(color.astype(np.float32) - frame.color)
         colors.append(float(np.log(squares.mean() + 1)))
+        decibels.append(psnr(frame.color, color))
         depths.append((depth, frame.depth))
     color_error = float(np.mean(colors))
-    return DecodedError(color_error, objective(color_error, shown_depth_error(depths), scene.config.depth_weight))
+    misfit = shown_depth_error(depths)
+    total = objective(color_error, misfit, scene.config.depth_weight)
+    return DecodedError(color_error, misfit, total, float(np.mean(decibels)))

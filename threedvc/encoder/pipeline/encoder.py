@@ -9,12 +9,15 @@ out in the end. A live encoder sends each batch as soon as it is fused.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sized
+from math import inf
 from typing import cast
 
 from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.coding.video.ffv1 import can_encode_ffv1
 from threedvc.config import ColorVideo, DepthErrorKind, DepthVideo, EncoderConfig
+from threedvc.encoder.packetizer.captured.live_color_video import LiveColorVideo
 from threedvc.encoder.packetizer.packetizer import Packetizer
+from threedvc.encoder.packetizer.scene_source import BatchFrames
 from threedvc.encoder.pipeline.color_choice import file_stream
 from threedvc.encoder.pipeline.fusion_pass import FrameReporter, FusionPass, Reconstruction, fuse_frames
 from threedvc.encoder.pipeline.offline_passes import (
@@ -100,10 +103,10 @@ class Encoder:
             if not again:
                 raise ConfigError("depth within a bound needs frames that can be read again; leave out --depth-error")
         can_encode = can_encode_ffv1 if self.config.video.lossless else can_encode_av1
-        if self.config.color_video is ColorVideo.ON and not (again and can_encode()):
+        if self.config.color_video is ColorVideo.ON and not ((again or self.config.causal) and can_encode()):
             raise ConfigError(
-                "a color video needs frames that can be read again, and a build of PyAV with AV1; install av 14 or "
-                "newer with libsvtav1, or leave out --color-video on"
+                "a color video needs frames that can be read again, unless it is live, and a build of PyAV with AV1; "
+                "install av 14 or newer with libsvtav1, or leave out --color-video on"
             )
         if self.config.causal:
             yield from self._live(frames, reporter)
@@ -137,20 +140,33 @@ class Encoder:
     def _live(self, frames: Iterable[Frame], reporter: FrameReporter) -> Iterator[Packet]:
         """Send each batch when the first frame after it comes, so that the last batch is known to be it."""
         packetizer: Packetizer | None = None
+        video = (
+            None if self.config.color_video is ColorVideo.OFF or not can_encode_av1() else LiveColorVideo(self.scene)
+        )
         sent = 0
         for frame_set in frame_sets(frames, self._info):
             if len(self.reports) - sent >= self._batch_frames:
                 if packetizer is None:
-                    packetizer = self._live_packetizer()
+                    video = self._live_video(video)
+                    packetizer = new_packetizer(self.state, StreamChoices(config=self.config), live_video=video)
                     yield from packetizer.stream_headers()
                 yield from batches(packetizer, self.state, sent, self._batch_frames, last=False)
                 sent = len(self.reports)
             self.reports.extend(reporter.fuse(self.scene, frame_set))
+            if video is not None:
+                video.keep(frame_set)
         if packetizer is None:
-            packetizer = self._live_packetizer()
+            video = self._live_video(video)
+            packetizer = new_packetizer(self.state, StreamChoices(config=self.config), live_video=video)
             yield from packetizer.stream_headers()
         yield from batches(packetizer, self.state, sent, self._batch_frames, last=True)
         yield packetizer.end()
 
-    def _live_packetizer(self) -> Packetizer:
-        return new_packetizer(self.state, StreamChoices(config=self.config))
+    def _live_video(self, video: LiveColorVideo | None) -> LiveColorVideo | None:
+        """Return the color video of a stream that begins with the frames so far; None if models leave it too little."""
+        if video is None or self.config.color_video is ColorVideo.ON or not self.reports:
+            return video
+        batch = BatchFrames.of(self.scene, 0, min(self._batch_frames, len(self.reports)))
+        rate = self.config.bitrate_bps
+        budget = inf if rate is None else rate / 8 * batch.count / self._info.fps
+        return video if video.fits(batch, budget) else None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
 from threedvc.encoder.packetizer.background_choice import choose_background
+from threedvc.encoder.packetizer.captured.live_color_video import LiveColorVideo
 from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
 from threedvc.errors import SequenceError
@@ -52,7 +53,12 @@ class StreamChoices:
     videos: Sequence[Packet] = ()
 
 
-def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: FittedAppearance | None = None) -> Packetizer:
+def new_packetizer(
+    state: Reconstruction,
+    choices: StreamChoices,
+    fitted: FittedAppearance | None = None,
+    live_video: LiveColorVideo | None = None,
+) -> Packetizer:
     """Return what writes the packets of the frames taken in.
 
     Raises
@@ -69,7 +75,7 @@ def new_packetizer(state: Reconstruction, choices: StreamChoices, fitted: Fitted
         )
     config = choices.config
     background = choose_background(state.scene, config, fitted, choices.background_step or config.color.luma_step)
-    return Packetizer(state.scene, config, fitted, background, choices.post_filter, choices.videos)
+    return Packetizer(state.scene, config, fitted, background, choices.post_filter, choices.videos, live_video)
 
 
 def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = False) -> int:

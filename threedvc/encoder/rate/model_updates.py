@@ -31,16 +31,18 @@ def first_visible_update(surface: Surface, sent: DecodedModel, until_frame: int 
     return _update(surface.part(due), _nothing(), surface.part(np.zeros(len(due), dtype=bool)))
 
 
-def incremental_update(model: EvidenceModel, sent: DecodedModel, threads: int) -> ModelUpdate:
+def incremental_update(model: EvidenceModel, sent: DecodedModel, threads: int, *, colored: bool = True) -> ModelUpdate:
     """Choose what is worth sending now (live).
 
     A cell appears when it is confident, or occupied rather than not among confident ones (a threshold for each
     cell alone leaves holes where the surface passes between two), and no cell within one cell of it was sent
     (noise makes the surface flicker by one cell); it vanishes when it is confidently empty; it changes color
     when the mean has moved by more than 16 levels. `sent` holds the colors as they were chosen: against the
-    decoded ones a cell would be sent again for its quantization error.
+    decoded ones a cell would be sent again for its quantization error. Unless `colored` all cells are gray.
     """
     present = extract_surface(model, threads)
+    if not colored:
+        present = present.without_colors()
     surface = present.part(_among_sure_ones(present, model, threads))
     known = _is_sent(sent, surface.cells)
     near = np.zeros(len(surface.cells), dtype=np.int32)

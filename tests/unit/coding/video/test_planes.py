@@ -36,10 +36,10 @@ def rough(video: VideoFormat) -> Planes:
 @pytest.mark.parametrize("shown", [(1, 1), (5, 3), (17, 10), (20, 31)])
 @pytest.mark.parametrize("coded", [(17, 10), (8, 9), (1, 1)])
 def test_pictures_are_those_of_the_reference(coded: tuple[int, int], shown: tuple[int, int], bits: int) -> None:
-    for magnified in (0, 3):
-        video = VideoFormat(width=coded[0], height=coded[1], bits=bits, magnified=magnified)
+    for magnified, full in ((0, False), (3, False), (1, True)):
+        video = VideoFormat(width=coded[0], height=coded[1], bits=bits, magnified=magnified, full_chroma=full)
         planes = rough(video)
-        wanted = shown_picture(planes, shown, bits, magnified)
+        wanted = shown_picture(planes, shown, bits, magnified, full_chroma=full)
         for threads in (1, 3):
             np.testing.assert_array_equal(picture_of(planes, video, *shown, threads), wanted)
 
@@ -53,6 +53,16 @@ def test_pictures_come_back(size: tuple[int, int], bits: int) -> None:
         got = picture_of(planes_of(wanted, video), video, *size, 1)
         assert np.abs(got.astype(int) - wanted).max() <= 6
         assert np.abs(got.astype(int) - wanted).mean() < 2
+
+
+@pytest.mark.parametrize("size", [(16, 12), (5, 3), (1, 1)])
+def test_full_chroma_loses_no_more_than_rounding(size: tuple[int, int]) -> None:
+    wanted = RNG.integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
+    video = VideoFormat(width=size[0], height=size[1], bits=10, full_chroma=True)
+    planes = planes_of(wanted, video)
+    assert {plane.shape for plane in planes} == {video.chroma_shape} == {(size[1], size[0])}
+    got = picture_of(planes, video, *size, 1)
+    assert np.abs(got.astype(int) - wanted).max() <= 1
 
 
 def test_gray_pictures_come_back_exactly() -> None:

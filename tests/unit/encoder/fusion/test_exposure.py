@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from helpers.recorded_room import color_picture, depth_picture, poses
 from helpers.streams import ListSequence, drawn
 from threedvc.coding.gains import NEUTRAL, apply_gain
-from threedvc.config import EncoderConfig, Motion, Sensor
+from threedvc.config import ColorVideo, EncoderConfig, Motion, Sensor
 from threedvc.encoder.fusion.exposure import with_gain
 from threedvc.encoder.fusion.integration import observe
 from threedvc.encoder.pipeline.encoder import Encoder
@@ -27,7 +27,13 @@ INFO = SequenceInfo(
     name="room", rig=CameraRig.registered_to(CAMERA), depth_scale=1000.0, fps=10.0, frame_count=8, has_camera_poses=True
 )
 LIVE = EncoderConfig(
-    causal=True, motion=Motion.KNOWN, sensor=Sensor.IDEAL, voxel_size_m=0.05, threads=2, batch_frames=2
+    causal=True,
+    motion=Motion.KNOWN,
+    sensor=Sensor.IDEAL,
+    voxel_size_m=0.05,
+    color_video=ColorVideo.OFF,
+    threads=2,
+    batch_frames=2,
 )
 FACTORS = np.array([1.0, 1.0, 1.0, 1.1, 1.2, 1.2, 0.9, 0.7])
 

@@ -3,25 +3,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from math import ceil, log2
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from threedvc.coding.video.av1 import Av1Settings, encode_av1
+from threedvc.coding.video.av1 import Av1Settings
+from threedvc.coding.video.color_runs import encode_color
 from threedvc.coding.video.ffv1 import EXACT_BITS, encode_ffv1
 from threedvc.coding.video.jpeg import encode_jpeg_files
 from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_magnification
+from threedvc.config import EncoderConfig
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
-from threedvc.encoder.reconstruction.scene import Scene
-from threedvc.frames.sequence import FrameSequence
+from threedvc.encoder.reconstruction.frame_intake import FrameRecord
+from threedvc.frames.frame import Frame, SequenceInfo
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.framing_sizes import COLOR_VIDEO_FRAMING_BYTES
 from threedvc.stream.packets import Packet, VideoCodec
 
-__all__ = ["HALVING", "ColorVideoWriter", "PictureCoding", "picture_coding", "video_bytes"]
+__all__ = [
+    "EXACT",
+    "HALVING",
+    "QUARTERS",
+    "ColorVideoWriter",
+    "FrameSource",
+    "PictureCoding",
+    "PictureSource",
+    "VideoChoice",
+    "picture_coding",
+    "video_bytes",
+]
 
 BITS = 10
 """Of a sample, whatever the input has: sums are rounded less, for 2 % fewer bytes (decision 0030)."""
@@ -34,10 +47,59 @@ HALVING = 7.0
 """So much more coarseness halves the bytes, about: a first guess."""
 CLOSE = 0.97
 """Share of a target from which a size is close enough: finer steps move it by 2 to 3 %."""
+FIRST_TRIAL = 60.0
+"""Coarseness that is tried first where nothing is known."""
 MAX_TRIALS = 7
 """Videos that a search codes at most; three or four are the rule."""
 QUARTERS = 4
 """Steps of coarseness that are tried are a quarter: the encoder has no finer ones."""
+MAX_FINE_RUN_PIXELS = 1 << 24
+"""Pixels of a run with full chroma or without loss: of 32 bits each they do not exceed a payload
+(`MAX_PAYLOAD_BYTES`), and noise takes 27."""
+
+
+class FrameSource(Protocol):
+    """What is asked of a scene; `threedvc.encoder.reconstruction.scene.Scene` has it."""
+
+    @property
+    def info(self) -> SequenceInfo:
+        """The sequence."""
+
+    @property
+    def config(self) -> EncoderConfig:
+        """Choices."""
+
+    @property
+    def records(self) -> Sequence[FrameRecord]:
+        """What is kept of every frame so far."""
+
+
+class PictureSource(Protocol):
+    """What is asked of a sequence: its frames by their numbers."""
+
+    def __getitem__(self, index: int, /) -> Frame: ...
+
+
+class VideoChoice(NamedTuple):
+    """How finely pictures are coded.
+
+    Attributes
+    ----------
+    coarseness
+        From `MIN_CRF` to `MAX_COARSENESS`.
+    full_chroma
+        Whether chroma has all rows and columns.
+    exact
+        Whether nothing is lost; the others mean nothing then.
+    """
+
+    coarseness: float
+    full_chroma: bool = False
+    exact: bool = False
+
+
+EXACT = VideoChoice(MIN_CRF, exact=True)
+"""No loss."""
 
 
 class PictureCoding(NamedTuple):
@@ -71,32 +133,42 @@ class ColorVideoWriter:
         The finished scene, of which sensors and choices count.
     frames
         Its frames.
-    batch_frames
-        Frames of a BATCH; no run of pictures crosses its end.
+    batches
+        The numbers of the frames of each BATCH; no run of pictures crosses its end.
 
     Attributes
     ----------
     coded
-        The packets so far, by coarseness.
+        The packets so far, by choice.
     """
 
-    def __init__(self, scene: Scene, frames: FrameSequence, batch_frames: int) -> None:
+    def __init__(self, scene: FrameSource, frames: PictureSource, batches: Iterable[range]) -> None:
         self._scene, self._frames = scene, frames
-        self._runs = [self._run(*run) for run in self._numbers(batch_frames)]
-        self.coded: dict[float, list[Packet]] = {}
+        self._runs = [self._run(*run) for run in self._numbers(batches)]
+        self.coded: dict[VideoChoice, list[Packet]] = {}
 
-    def packets(self, coarseness: float) -> list[Packet]:
-        """Return the COLOR_VIDEO packets at a coarseness, in the order of their frames; a lossless video has none."""
-        if coarseness not in self.coded:
-            self.coded[coarseness] = [self._packet(run, picture_coding(coarseness)) for run in self._runs]
-        return self.coded[coarseness]
+    def packets(self, choice: VideoChoice) -> list[Packet]:
+        """Return the COLOR_VIDEO packets of a choice, in the order of their frames."""
+        if choice not in self.coded:
+            self.coded[choice] = [packet for run in self._runs for packet in self._packets(run, choice)]
+        return self.coded[choice]
 
-    def packets_within(self, budget_bytes: float) -> list[Packet]:
-        """Return the finest packets of at most so many bytes that a few trials find, or the coarsest there are."""
+    def choice_within(
+        self,
+        budget_bytes: float,
+        *,
+        full_chroma: bool = False,
+        start: float = FIRST_TRIAL,
+        max_trials: int = MAX_TRIALS,
+    ) -> VideoChoice:
+        """Return the finest choice of at most so many bytes that a few trials find, or the coarsest of them.
+
+        With `MAX_TRIALS` of them that is the coarsest there is. The first one has the coarseness `start`.
+        """
         low, high = MIN_CRF, MAX_COARSENESS
-        coarseness, sizes = 60.0, dict[float, int]()
-        for _ in range(MAX_TRIALS):
-            size = sizes[coarseness] = video_bytes(self.packets(coarseness))
+        coarseness, sizes = start, dict[float, int]()
+        for _ in range(max_trials):
+            size = sizes[coarseness] = video_bytes(self.packets(VideoChoice(coarseness, full_chroma)))
             low, high = (coarseness, high) if size > budget_bytes else (low, coarseness)
             if CLOSE * budget_bytes < size <= budget_bytes or high - low <= 1 / QUARTERS:
                 break
@@ -104,29 +176,43 @@ class ColorVideoWriter:
             if coarseness in sizes:
                 break
         fitting = [each for each, size in sizes.items() if size <= budget_bytes]
-        return self.packets(min(fitting) if fitting else max(sizes))
+        return VideoChoice(min(fitting) if fitting else max(sizes), full_chroma)
 
-    def _numbers(self, batch_frames: int) -> Iterator[tuple[int, list[int]]]:
+    def _numbers(self, batches: Iterable[range]) -> Iterator[tuple[int, list[int]]]:
         """Yield the sensor and the numbers of the frames of each run."""
         records = self._scene.records
-        for first in range(0, len(records), batch_frames):
-            batch = range(first, min(first + batch_frames, len(records)))
+        for batch in batches:
             for sensor in range(len(self._scene.info.rigs)):
                 own = [frame for frame in batch if records[frame].sensor == sensor]
                 if own:
                     yield sensor, own
 
     def _run(self, sensor: int, frames: list[int]) -> _Run:
-        if self._scene.info.gray or self._scene.config.video.lossless:
+        if self._scene.info.gray:
             return _Run(sensor, frames, 0)
         return _Run(sensor, frames, min(spare_magnification(self._frames[frame].color) for frame in frames))
 
-    def _packet(self, run: _Run, coding: PictureCoding) -> Packet:
+    def _packets(self, run: _Run, choice: VideoChoice) -> Iterator[Packet]:
+        """Yield the packets of a run, which is parted if one could exceed what a payload may hold."""
+        camera, part = self._scene.info.rigs[run.sensor].color, len(run.frames)
+        if choice.exact or choice.full_chroma:
+            part = max(1, MAX_FINE_RUN_PIXELS // (camera.width * camera.height))
+        for first in range(0, len(run.frames), part):
+            some = replace(run, frames=run.frames[first : first + part])
+            yield self._exact_packet(some) if choice.exact else self._packet(some, choice)
+
+    def _packet(self, run: _Run, choice: VideoChoice) -> Packet:
         camera, config = self._scene.info.rigs[run.sensor].color, self._scene.config
-        if config.video.lossless:
-            return self._exact_packet(run)
+        coding = picture_coding(choice.coarseness)
         columns, rows = (_scaled(side, coding.scale) for side in (camera.width, camera.height))
-        video = VideoFormat(width=columns, height=rows, bits=BITS, magnified=run.magnified, gray=self._scene.info.gray)
+        video = VideoFormat(
+            width=columns,
+            height=rows,
+            bits=BITS,
+            magnified=run.magnified,
+            gray=self._scene.info.gray,
+            full_chroma=choice.full_chroma,
+        )
         settings = Av1Settings(crf=coding.crf, preset=config.video.preset, threads=config.threads)
         header = ColorVideoHeader(
             frame=run.frames[0],
@@ -134,10 +220,11 @@ class ColorVideoWriter:
             sensor=run.sensor,
             columns=columns,
             rows=rows,
+            codec=VideoCodec.AV1_FULL_CHROMA if choice.full_chroma else VideoCodec.AV1,
             bits=BITS,
             magnified=run.magnified,
         )
-        return header.packet(encode_av1(self._planes(run.frames, video), video, settings), critical=False)
+        return header.packet(encode_color(self._planes(run.frames, video), video, settings), critical=False)
 
     def _exact_packet(self, run: _Run) -> Packet:
         """Return the packet of a lossless video: of the JPEG files that all pictures came in, or else of FFV1."""

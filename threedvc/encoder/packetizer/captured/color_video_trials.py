@@ -1,87 +1,198 @@
 # SPDX-License-Identifier: MIT
-"""What bytes are worth to a color video, measured on videos of about the size that it will have."""
+"""How fine a color video is, and what bytes are worth to it, by trials of about the size that it will have."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from threedvc.coding.video.av1 import decode_av1
-from threedvc.coding.video.planes import VideoFormat, picture_of
-from threedvc.config.stages import MAX_COARSENESS, MIN_CRF, VideoConfig
-from threedvc.encoder.packetizer.captured.color_video import HALVING, ColorVideoWriter, video_bytes
+from threedvc.coding.video.color_runs import decode_color, halving_error, video_format
+from threedvc.coding.video.planes import picture_of
+from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
+from threedvc.encoder.packetizer.captured.color_video import (
+    EXACT,
+    HALVING,
+    QUARTERS,
+    ColorVideoWriter,
+    VideoChoice,
+    picture_coding,
+    video_bytes,
+)
 from threedvc.encoder.rate.objective import MIN_SLOPE, ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence, sampling_stride
+from threedvc.metrics.picture_quality import psnr
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.packets import Packet
 
-__all__ = ["color_cost"]
+__all__ = ["MAX_CHROMA_SHARE", "ColorVideoTrials"]
 
 SAMPLED_FRAMES = 40
 """Frames whose error is measured, spread over the sequence: as many as of a finished stream."""
+CHROMA_FRAMES = 8
+"""Frames of which it is measured what chroma of half the rows and columns loses: it hardly differs between them."""
 LIKELY_SHARE = 0.75
 """Share of a budget that a video may have when the rest is shared out; the trials about it tell what more or less is
 worth. Geometry and poses of hand-held recordings take a tenth to a half."""
+MAX_CHROMA_SHARE = 0.35
+"""Share of the squared error that halving chroma may have; beyond, full chroma is better for the bytes. Measured where
+the two are equal: .25 (fr1_rpy), .3 (two_toys), .4 (cow_turn), see decision 0034."""
+DB_PER_COARSENESS, MIN_DB_PER_COARSENESS = 0.36, 0.05
+"""By how much one of coarseness lowers PSNR, about, and at least."""
+CLOSE_DB = 0.15
+"""Beyond a PSNR that was asked for this is close enough: a quarter of coarseness is about a tenth."""
+MAX_STEPS = 8
+"""Trials on the way to a PSNR; three are the rule."""
+PEAK = 255.0
+"""Largest level of a channel."""
+ENOUGH = 0.95
+"""Share of a budget that the finest lossy video takes at least; otherwise one without loss may fit."""
 
 
-def color_cost(
-    writer: ColorVideoWriter, scene: Scene, frames: FrameSequence, video: VideoConfig, budget_bytes: float | None
-) -> ColorCost:
-    """Return what bytes cost that a color video does not get.
+class _ColorErrors(NamedTuple):
+    """What is measured of a video.
+
+    Attributes
+    ----------
+    square, logarithm, psnr_db
+        Means over frames of the squared error, of the logarithm of it plus one, and of PSNR.
+    """
+
+    square: float
+    logarithm: float
+    psnr_db: float
+
+
+class ColorVideoTrials:
+    """Videos of the pictures of all frames, and what is measured of them.
 
     Parameters
     ----------
-    writer
-        Of the video; what it codes is kept there.
-    scene, frames
-        Those of the writer.
-    video
-        Choices for it.
-    budget_bytes
-        What the stream may take, or None: the video has the coarseness of its choices.
+    scene
+        The finished scene, of which sensors and choices count.
+    frames
+        Its frames.
+    batch_frames
+        Frames of a BATCH.
     """
-    if video.lossless:
-        return ColorCost.of_slope(float(video_bytes(writer.packets(MIN_CRF))), MIN_SLOPE, fixed=False)
-    if budget_bytes is None:
-        asked = video.coarseness
-    else:
-        writer.packets_within(LIKELY_SHARE * budget_bytes)
-        aim = np.log(LIKELY_SHARE * budget_bytes)
-        asked = min(writer.coded, key=lambda each: abs(np.log(video_bytes(writer.coded[each])) - aim))
-    tried = (asked, _coarser(asked))
-    sizes = [float(video_bytes(writer.packets(each))) for each in tried]
-    errors = [_error(writer.packets(each), scene, frames) for each in tried]
-    if budget_bytes is None:
-        return ColorCost(sizes, errors)
-    order = sorted(range(len(tried)), key=sizes.__getitem__)
-    coarsest = video_bytes(writer.coded[MAX_COARSENESS]) if MAX_COARSENESS in writer.coded else 0
-    return ColorCost([sizes[k] for k in order], [errors[k] for k in order], budget_bytes, coarsest)
+
+    def __init__(self, scene: Scene, frames: FrameSequence, batch_frames: int) -> None:
+        count = len(scene.records)
+        batches = (range(first, min(first + batch_frames, count)) for first in range(0, count, batch_frames))
+        self.writer = ColorVideoWriter(scene, frames, batches)
+        self._scene, self._frames = scene, frames
+        self._measured: dict[VideoChoice, _ColorErrors] = {}
+        self._halved: float | None = None
+
+    def within(self, budget_bytes: float) -> VideoChoice:
+        """Return the best choice of at most so many bytes that a few trials find, or the coarsest there is."""
+        choice = self.writer.choice_within(budget_bytes)
+        if self._wants_full_chroma(choice):
+            choice = self.writer.choice_within(budget_bytes, full_chroma=True)
+        if choice.coarseness == MIN_CRF and self._size(choice) < ENOUGH * budget_bytes:
+            return EXACT if self._size(EXACT) <= budget_bytes else choice
+        return choice
+
+    def of_quality(self) -> VideoChoice:
+        """Return the choice of the coarseness asked for, or the coarsest finer one that has the PSNR asked for."""
+        video = self._scene.config.video
+        if video.lossless:
+            return EXACT
+        halved = self._error_of_halving() if video.min_psnr_db > 0 else 0.0
+        full = halved > MAX_CHROMA_SHARE * PEAK**2 * 10 ** (-video.min_psnr_db / 10)
+        choice = VideoChoice(video.coarseness, full)
+        if self._wants_full_chroma(choice):
+            choice = choice._replace(full_chroma=True)
+        spare = self._errors(choice).psnr_db - video.min_psnr_db
+        return choice if spare >= 0 else self._finer(choice, -spare)
+
+    def _finer(self, poor: VideoChoice, missing_db: float) -> VideoChoice:
+        """Return the coarsest choice of a few tried that has the PSNR asked for, or the finest; `poor` has not."""
+        too_coarse, fine = poor.coarseness, MIN_CRF
+        slope, asked_db = DB_PER_COARSENESS, self._scene.config.video.min_psnr_db
+        for _ in range(MAX_STEPS):
+            step = round(QUARTERS * missing_db / slope) / QUARTERS
+            coarseness = float(np.clip(too_coarse - step, fine, too_coarse - 1 / QUARTERS))
+            spare = self._errors(poor._replace(coarseness=coarseness)).psnr_db - asked_db
+            slope = max((missing_db + spare) / (too_coarse - coarseness), MIN_DB_PER_COARSENESS)
+            if spare < 0:
+                too_coarse, missing_db = coarseness, -spare
+            else:
+                fine = coarseness
+            if 0 <= spare < CLOSE_DB or too_coarse - fine <= 1 / QUARTERS:
+                break
+        return poor._replace(coarseness=fine)
+
+    def cost(self, budget_bytes: float | None) -> ColorCost:
+        """Return what bytes cost that a color video does not get.
+
+        `budget_bytes` is what the stream may take, or None: the video has the quality asked for.
+        """
+        if self._scene.config.video.lossless:
+            return ColorCost.of_slope(float(self._size(EXACT)), MIN_SLOPE, fixed=False)
+        asked = self.of_quality() if budget_bytes is None else self._likely(LIKELY_SHARE * budget_bytes)
+        tried = (asked, _coarser(asked))
+        sizes = [float(self._size(each)) for each in tried]
+        errors = [self._errors(each).logarithm for each in tried]
+        if budget_bytes is None:
+            return ColorCost(sizes, errors)
+        order = sorted(range(len(tried)), key=sizes.__getitem__)
+        coarsest = VideoChoice(MAX_COARSENESS)
+        least = self._size(coarsest) if coarsest in self.writer.coded else 0
+        return ColorCost([sizes[k] for k in order], [errors[k] for k in order], budget_bytes, least)
+
+    def _likely(self, budget_bytes: float) -> VideoChoice:
+        """Return the choice coded so far, with chroma as it should be, that comes nearest to so many bytes."""
+        found = self.within(budget_bytes)
+        alike = [each for each in self.writer.coded if each.full_chroma == found.full_chroma and not each.exact]
+        return min(alike, key=lambda each: abs(np.log(self._size(each) / budget_bytes)))
+
+    def _size(self, choice: VideoChoice) -> int:
+        return video_bytes(self.writer.packets(choice))
+
+    def _wants_full_chroma(self, choice: VideoChoice) -> bool:
+        """Tell whether halving chroma takes more of the error of a choice than full chroma would cost."""
+        if choice.full_chroma or choice.exact or picture_coding(choice.coarseness).scale < 1 or self._scene.info.gray:
+            return False
+        return self._error_of_halving() > MAX_CHROMA_SHARE * self._errors(choice).square
+
+    def _error_of_halving(self) -> float:
+        """Return the mean squared error of pictures of which nothing but chroma's rows and columns is lost."""
+        if self._halved is None:
+            every = sampling_stride(len(self._frames), CHROMA_FRAMES, self._frames.info)
+            sampled = range(0, len(self._frames), every)
+            errors = [halving_error(self._frames[number].color, self._scene.config.threads) for number in sampled]
+            self._halved = float(np.mean(errors))
+        return self._halved
+
+    def _errors(self, choice: VideoChoice) -> _ColorErrors:
+        if choice not in self._measured:
+            every = sampling_stride(len(self._frames), SAMPLED_FRAMES, self._frames.info)
+            packets = self.writer.packets(choice)
+            decibels = np.array([each for packet in packets for each in self._decibels(packet, every)])
+            squares = PEAK**2 * 10 ** (-decibels / 10)
+            self._measured[choice] = _ColorErrors(
+                float(squares.mean()), float(np.log(squares + 1).mean()), float(decibels.mean())
+            )
+        return self._measured[choice]
+
+    def _decibels(self, packet: Packet, every: int) -> Iterator[float]:
+        """Yield the PSNR of those frames that a packet shows whose number is a multiple of `every`."""
+        header, scene = ColorVideoHeader.from_map(packet.header), self._scene
+        camera = scene.info.rigs[header.sensor].color
+        own = [number for number in range(len(self._frames)) if scene.records[number].sensor == header.sensor]
+        first = own.index(header.frame)
+        video = video_format(header, gray=scene.info.gray)
+        pictures = decode_color(packet.payload, header.count, video)
+        for number, planes in zip(own[first : first + header.count], pictures, strict=True):
+            if number % every == 0:
+                shown = picture_of(planes, video, camera.width, camera.height, scene.config.threads)
+                yield psnr(self._frames[number].color, shown)
 
 
-def _coarser(coarseness: float) -> float:
-    """Return the coarseness of a video of half the bytes; next to the coarsest, of twice as many."""
-    return coarseness + HALVING if coarseness + HALVING <= MAX_COARSENESS else max(coarseness - HALVING, MIN_CRF)
-
-
-def _error(packets: Sequence[Packet], scene: Scene, frames: FrameSequence) -> float:
-    """Return the mean logarithm of the squared error plus one of what packets show."""
-    every = sampling_stride(len(frames), SAMPLED_FRAMES, frames.info)
-    return float(np.mean([error for packet in packets for error in _frame_errors(packet, scene, frames, every)]))
-
-
-def _frame_errors(packet: Packet, scene: Scene, frames: FrameSequence, every: int) -> Iterator[float]:
-    header = ColorVideoHeader.from_map(packet.header)
-    camera = scene.info.rigs[header.sensor].color
-    own = [number for number in range(len(frames)) if scene.records[number].sensor == header.sensor]
-    first = own.index(header.frame)
-    video = VideoFormat(
-        width=header.columns, height=header.rows, bits=header.bits, magnified=header.magnified, gray=scene.info.gray
-    )
-    pictures = decode_av1(packet.payload, header.count, video)
-    for number, planes in zip(own[first : first + header.count], pictures, strict=True):
-        if number % every == 0:
-            shown = picture_of(planes, video, camera.width, camera.height, scene.config.threads)
-            squares = np.square(shown.astype(np.float32) - frames[number].color)
-            yield float(np.log(squares.mean() + 1))
+def _coarser(choice: VideoChoice) -> VideoChoice:
+    """Return the choice of half the bytes; next to the coarsest, of twice as many."""
+    coarser = choice.coarseness + HALVING
+    return choice._replace(coarseness=coarser if coarser <= MAX_COARSENESS else max(coarser - 2 * HALVING, MIN_CRF))

@@ -20,10 +20,12 @@ from threedvc.coding.video.planes import VideoFormat
 from threedvc.decoder.replay import replay
 from threedvc.encoder.packetizer.captured.depth_run import (
     DEPTH_BITS,
+    LAW,
     DepthMaps,
     EncodedDepthRun,
     PictureFormat,
     encode_depth_run,
+    is_everywhere,
 )
 from threedvc.encoder.packetizer.frame_runs import runs_of
 from threedvc.encoder.rate.objective import ColorCost
@@ -38,22 +40,30 @@ from threedvc.stream.packets import Packet
 
 __all__ = ["choose_depth_video"]
 
-SCALES = (0.25, 0.375, 0.5)
-"""Sizes that are tried, in sides of the depth map, the least first: it usually tells that none is worth it."""
+SCALES, LARGE_SCALES = (0.25, 0.375, 0.5), (0.75, 1.0)
+"""Sizes that are tried, in sides of the depth map, the least first: its bytes usually tell that none is worth it. Large
+ones are tried while each gains more than the one before: high rates want them."""
 MIDDLE_CRF, CRF_STEPS = 22, (8, -7)
-"""Sizes are tried with a middling quality of AV1, then the best size with a coarser and a finer one."""
+"""Sizes are tried with a middling quality of AV1, then the best size with coarser and finer ones while they gain."""
+MIN_CRF, MAX_CRF = 1, 60
+"""The finest quality of AV1, and the coarsest that is tried."""
 COARSE_CRFS = 35, 48
 """Tried where the middling one exceeds what a video may take."""
 TRIAL_FRAMES, TRIAL_PICTURES = 60, 8
 """Frames in a row that are tried, two seconds at 30 frames/s, and how many of them are drawn, which takes longest."""
 HOPELESS_GAIN = -0.15
 """A gain this low of a video speaks against larger ones, too; by hand."""
+HOPED_SHARE = 0.25
+"""Share of the misfit that larger pictures may leave; by hand. If that is not worth the bytes, nothing is."""
 MIN_GAIN = 0.05
 """What a video must gain beyond its price (decision 0019): trials are small, and a stream without one is simpler."""
 ALIKE = 0.01
 """Of choices whose gains differ by no more, the finest is taken: trials are coded less thoroughly."""
 MAX_RATE_SHARE = 0.8
 """Share of the bytes of colors of a stream of given rate that a video may take: these need the rest; by hand."""
+MAX_PART = 1.0
+"""Times the bytes of colors, or of a stream with the models' own, that a video may take without a rate: more for depth
+than for all else is out of balance, however far the misfit falls."""
 TILE_SHARES = (0.9, 0.75, 0.5)
 """Shares of the misfit that the tiles hold together which are tried alone."""
 MAX_HALF_SHARE = 0.25
@@ -228,48 +238,69 @@ class DepthVideoTrial:
         self._measured: DepthMaps = [own.measured(number) for number in numbers]
         some = numbers[:: ceil(len(numbers) / TRIAL_PICTURES)]
         self._drawn = dict(zip(map(numbers.index, some), own.drawn(some), strict=True))
+        budget = cost.budget_bytes
+        self._max_bytes = MAX_PART * cost.sizes[0] if budget is None else MAX_RATE_SHARE * budget
+        self._everywhere = is_everywhere([self._measured[place] for place in self._drawn], list(self._drawn.values()))
         height, width = self._measured[0].shape
-        samples = max(own.batch_frames, TRIAL_FRAMES) * len(own.scene.info.rigs) * width * height
+        frames = min(max(own.batch_frames, TRIAL_FRAMES), len(own.scene.records))
+        samples = frames * len(own.scene.info.rigs) * width * height
         max_share = MAX_SEQUENCE_SAMPLES / samples
         self._max_scale = min(MAX_SCALE_SHARE * max_share**0.5, MAX_VIDEO_SIDE / max(width, height))
         self._misfit = self._misfit_with({})
+        self._gains: dict[DepthVideoChoice, float] = {}
+        self._hopes: dict[DepthVideoChoice, float] = {}
 
     def best(self, *, sure: bool) -> DepthVideoChoice | None:
         """Return the choice that gains most; None if none gains enough, unless a video is wanted for sure."""
-        gains: dict[DepthVideoChoice, float] = {}
-
-        def gain(choice: DepthVideoChoice) -> float:
-            if choice not in gains:
-                gains[choice] = self._gain(choice)
-            return gains[choice]
-
-        def most() -> DepthVideoChoice:
-            return max(gains, key=gains.__getitem__)
-
-        for scale in SCALES:
-            whole = DepthVideoChoice(self._format(scale))
-            found = gain(whole)
-            for crf in COARSE_CRFS if found == -inf else ():
-                found = gain(whole._replace(pictures=whole.pictures._replace(crf=crf)))
-                if found > -inf:
-                    break
-            if found == -inf or (found < HOPELESS_GAIN and not sure):
-                break
-        for misfit in self._tile_misfits(most().pictures) if not sure else ():
-            gain(most()._replace(least_misfit=misfit))
-        if most().least_misfit:
+        self._try_sizes(sure=sure)
+        if not sure:
+            for misfit in self._tile_misfits(self._most().pictures):
+                self._try(self._most()._replace(least_misfit=misfit))
+        if self._most().least_misfit:
             for scale in SCALES[1:]:
-                gain(most().magnified(self._format(scale)))
-        if gains[most()] < HOPELESS_GAIN and not sure:
+                self._try(self._most().magnified(self._format(scale)))
+        if self._gains[self._most()] < HOPELESS_GAIN and not sure:
             return None
-        middle = most()
         for step in CRF_STEPS:
-            gain(middle._replace(pictures=middle.pictures._replace(crf=middle.pictures.crf + step)))
-        best = gains[most()]
+            self._try_qualities(step)
+        best = self._gains[self._most()]
         if best == -inf or not (sure or best > MIN_GAIN):
             return None
-        alike = [choice for choice in gains if gains[choice] >= best - ALIKE]
+        alike = [choice for choice, gain in self._gains.items() if gain >= best - ALIKE]
         return max(alike, key=lambda each: (each.pictures.columns * each.pictures.rows, -each.pictures.crf))
+
+    def _try(self, choice: DepthVideoChoice) -> float:
+        """Return what a choice gains, which is tried once."""
+        if choice not in self._gains:
+            self._gains[choice] = self._gain(choice)
+        return self._gains[choice]
+
+    def _most(self) -> DepthVideoChoice:
+        """Return the choice so far that gains most."""
+        return max(self._gains, key=self._gains.__getitem__)
+
+    def _try_sizes(self, *, sure: bool) -> None:
+        """Try larger and larger pictures of the whole until they are hopeless."""
+        before = -inf
+        for scale in (*SCALES, *LARGE_SCALES):
+            whole = DepthVideoChoice(self._format(scale))
+            found = self._try(whole)
+            for crf in COARSE_CRFS if found == -inf else ():
+                found = self._try(whole._replace(pictures=whole.pictures._replace(crf=crf)))
+                if found > -inf:
+                    break
+            falls = found <= before and (found < HOPELESS_GAIN or scale >= SCALES[-1])
+            if found == -inf or (not sure and (falls or self._hopes[whole] < MIN_GAIN)):
+                return
+            before = found
+
+    def _try_qualities(self, step: int) -> None:
+        """Try coarser or finer qualities of the best choice while they gain."""
+        before = None
+        while self._most() != before:
+            before = self._most()
+            crf = int(np.clip(before.pictures.crf + step, MIN_CRF, MAX_CRF))
+            self._try(before._replace(pictures=before.pictures._replace(crf=crf)))
 
     def _tile_misfits(self, pictures: PictureFormat) -> list[float]:
         """Return misfits of tiles from which on these hold some shares of all, if few hold the half."""
@@ -292,23 +323,22 @@ class DepthVideoTrial:
     def _gain(self, choice: DepthVideoChoice) -> float:
         """Return what a video of all sensors gains: what it takes off the misfit less the price of its bytes."""
         tiles = choice.tiles(self._misfits(choice.pictures))
-        run = encode_depth_run(
-            self._measured, self._measured, choice.pictures, tiles, thorough=False, threads=self._threads
-        )
+        run = encode_depth_run(self._measured, choice.pictures, tiles, thorough=False, threads=self._threads)
         video_bytes = (len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES) / (self._share * self._part)
-        budget = self._cost.budget_bytes
-        if budget is not None and video_bytes > MAX_RATE_SHARE * budget:
+        if video_bytes > self._max_bytes:
+            self._hopes[choice] = -inf
             return -inf
         dearer = self._cost.at(video_bytes) - self._cost.at(0)
+        self._hopes[choice] = self._misfit_cost(self._misfit) - self._misfit_cost(HOPED_SHARE * self._misfit) - dearer
         shown = self._misfit_with(self._shown(run, choice.pictures))
         return self._misfit_cost(self._misfit) - self._misfit_cost(shown) - dearer
 
     def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
         """Return what a decoder shows by a run instead of the depth drawn of some frames, by their place in it."""
         video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
-        levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS)
+        levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS, LAW)
         return {
-            place: CapturedDepth(samples=planes.luma, levels=levels, complete=run.complete, tiles=run.tiles).shown(
+            place: CapturedDepth(samples=planes.luma, levels=levels, complete=self._everywhere, tiles=run.tiles).shown(
                 self._drawn[place], self._threads
             )
             for place, planes in enumerate(decode_av1(run.payload, len(self._measured), video))
@@ -339,7 +369,7 @@ class DepthVideoWriter:
             if tiles is not None and not tiles.any():
                 continue
             filled = [np.where(depth > 0, depth, models) for depth, models in zip(measured, drawn, strict=True)]
-            run = encode_depth_run(measured, filled, pictures, tiles, thorough=True, threads=threads)
+            run = encode_depth_run(filled, pictures, tiles, thorough=True, threads=threads)
             header = DepthVideoHeader(
                 frame=numbers[0],
                 count=len(numbers),
@@ -349,7 +379,8 @@ class DepthVideoWriter:
                 bits=DEPTH_BITS,
                 nearest_m=run.nearest_m,
                 ratio=run.ratio,
-                complete=run.complete,
+                complete=is_everywhere(measured, drawn),
+                law=LAW,
                 tiles=b"" if tiles is None else pack_tiles(tiles),
             )
             yield header.packet(run.payload, critical=False)

@@ -8,7 +8,12 @@ import pytest
 from threedvc.config import EncoderConfig, VideoConfig, with_quality
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.packetizer.captured import color_video
-from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter, picture_coding, video_bytes
+from threedvc.encoder.packetizer.captured.color_video import (
+    ColorVideoWriter,
+    VideoChoice,
+    picture_coding,
+    video_bytes,
+)
 from threedvc.errors import ConfigError
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.packets import Packet
@@ -21,7 +26,8 @@ class SizedVideo(ColorVideoWriter):
         self.trials: list[float] = []
         self._finest, self._halving = finest_bytes, halving
 
-    def packets(self, coarseness: float) -> list[Packet]:
+    def packets(self, choice: VideoChoice) -> list[Packet]:
+        coarseness = choice.coarseness
         self.trials.append(coarseness)
         size = self._finest * 2 ** (-(coarseness - MIN_CRF) / self._halving) * (1 + (coarseness % 3) / 50)
         return [ColorVideoHeader(frame=0, columns=8, rows=8).packet(bytes(int(size)))]
@@ -31,9 +37,9 @@ class SizedVideo(ColorVideoWriter):
 @pytest.mark.parametrize("budget", [2_000, 30_000, 400_000])
 def test_budgets_are_nearly_used(budget: int, halving: float) -> None:
     writer = SizedVideo(1e6, halving)
-    size = video_bytes(writer.packets_within(budget))
+    size = video_bytes(writer.packets(writer.choice_within(budget)))
     assert len(writer.trials) <= color_video.MAX_TRIALS + 1
-    finest, coarsest = (video_bytes(writer.packets(coarseness)) for coarseness in (MIN_CRF, MAX_COARSENESS))
+    finest, coarsest = (video_bytes(writer.packets(VideoChoice(each))) for each in (MIN_CRF, MAX_COARSENESS))
     if coarsest <= budget <= finest:
         assert 0.88 * budget < size <= budget
     else:
@@ -42,8 +48,7 @@ def test_budgets_are_nearly_used(budget: int, halving: float) -> None:
 
 @pytest.mark.parametrize(("budget", "coarseness"), [(10, MAX_COARSENESS), (1 << 30, MIN_CRF)])
 def test_the_ends_are_found(budget: int, coarseness: float) -> None:
-    writer = SizedVideo(1e6, 7.0)
-    assert video_bytes(writer.packets_within(budget)) == video_bytes(writer.packets(coarseness))
+    assert SizedVideo(1e6, 7.0).choice_within(budget, full_chroma=True) == VideoChoice(coarseness, full_chroma=True)
 
 
 def test_coarser_pictures_become_smaller() -> None:

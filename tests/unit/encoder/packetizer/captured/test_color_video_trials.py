@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""What the bytes of a color video are found to be worth."""
+"""How fine color videos are chosen, and what their bytes are found to be worth."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from helpers.nonrigid_scene import nonrigid_sequence
+from helpers.streams import ListSequence
 from threedvc.coding.video.av1 import can_encode_av1
-from threedvc.config import EncoderConfig, VideoConfig
-from threedvc.encoder.packetizer.captured.color_video import ColorVideoWriter, video_bytes
-from threedvc.encoder.packetizer.captured.color_video_trials import color_cost
+from threedvc.config import ColorVideo, EncoderConfig, VideoConfig
+from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
+from threedvc.encoder.packetizer.captured import color_video
+from threedvc.encoder.packetizer.captured.color_video import EXACT, VideoChoice, video_bytes
+from threedvc.encoder.packetizer.captured.color_video_trials import ColorVideoTrials
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
+from threedvc.stream.captured_headers import ColorVideoHeader
+from threedvc.stream.packets import VideoCodec
 
 pytestmark = pytest.mark.skipif(not can_encode_av1(), reason="this build of PyAV cannot write AV1")
 VIDEO = VideoConfig(coarseness=40, preset=8)
@@ -23,38 +31,91 @@ def frames() -> FrameSequence:
 
 
 @pytest.fixture(scope="module")
-def scene(frames: FrameSequence) -> Scene:
-    scene = Scene(frames.info, EncoderConfig(video=VIDEO, threads=1))
+def colorful(frames: FrameSequence) -> FrameSequence:
+    """Frames whose columns are red and blue by turns."""
+    columns = np.where(np.arange(64)[:, None] % 2, (200, 60, 40), (40, 60, 200)).astype(np.uint8)
+    picture = np.ascontiguousarray(np.broadcast_to(columns, (48, 64, 3)))
+    return ListSequence([replace(frame, color=picture) for frame in frames], frames.info)
+
+
+def scene_of(frames: FrameSequence, video: VideoConfig = VIDEO) -> Scene:
+    scene = Scene(frames.info, EncoderConfig(video=video, color_video=ColorVideo.ON, threads=1))
     for frame in frames:
         scene.add(frame)
     return scene
 
 
-@pytest.fixture
-def writer(scene: Scene, frames: FrameSequence) -> ColorVideoWriter:
-    return ColorVideoWriter(scene, frames, 10)
+def trials(frames: FrameSequence, video: VideoConfig = VIDEO) -> ColorVideoTrials:
+    return ColorVideoTrials(scene_of(frames, video), frames, 10)
 
 
-def test_of_a_quality_bytes_cost_what_the_video_would_gain_by_them(
-    writer: ColorVideoWriter, scene: Scene, frames: FrameSequence
-) -> None:
-    cost = color_cost(writer, scene, frames, VIDEO, None)
+def size(found: ColorVideoTrials, choice: VideoChoice) -> int:
+    return video_bytes(found.writer.packets(choice))
+
+
+def test_of_a_quality_bytes_cost_what_the_video_would_gain_by_them(frames: FrameSequence) -> None:
+    found = trials(frames)
+    cost = found.cost(None)
     assert cost.budget_bytes is None
-    assert cost.sizes[0] == video_bytes(writer.packets(40)) > cost.sizes[1]
+    assert cost.sizes[0] == size(found, found.of_quality()) > cost.sizes[1]
     assert 0 < cost.errors[0] < cost.errors[1]
 
 
-def test_of_a_rate_the_trials_are_about_its_size(writer: ColorVideoWriter, scene: Scene, frames: FrameSequence) -> None:
-    budget = 2.0 * video_bytes(writer.packets(40))
-    cost = color_cost(writer, scene, frames, VIDEO, budget)
+def test_of_a_rate_the_trials_are_about_its_size(frames: FrameSequence) -> None:
+    found = trials(frames)
+    budget = 2.0 * size(found, VideoChoice(40))
+    cost = found.cost(budget)
     assert list(cost.sizes) == sorted(cost.sizes)
     assert 0.5 * budget < cost.sizes[-1] <= 0.75 * budget
     assert cost.at(0) < cost.at(0.5 * budget)
 
 
-def test_without_loss_nothing_is_given_up(scene: Scene, frames: FrameSequence) -> None:
-    exact = VideoConfig(lossless=True)
-    writer = ColorVideoWriter(scene.with_config(EncoderConfig(video=VIDEO, threads=1)), frames, 10)
-    cost = color_cost(writer, scene, frames, exact, None)
+def test_without_loss_nothing_is_given_up(frames: FrameSequence) -> None:
+    found = trials(frames, VideoConfig(lossless=True))
+    assert found.of_quality() == EXACT
+    cost = found.cost(None)
     assert cost.budget_bytes is None
     assert cost.at(0) < cost.at(100)
+
+
+@pytest.mark.parametrize("least", [30.0, 36.0, 41.0])
+def test_a_video_has_the_psnr_asked_for_and_hardly_more(frames: FrameSequence, least: float) -> None:
+    found = trials(frames, VideoConfig(coarseness=MAX_COARSENESS, preset=8, min_psnr_db=least))
+    choice = found.of_quality()
+    assert least <= found._errors(choice).psnr_db < least + 0.5
+    assert found.of_quality() == choice
+
+
+def test_a_psnr_out_of_reach_takes_the_finest_video(frames: FrameSequence) -> None:
+    found = trials(frames, VideoConfig(coarseness=4, preset=8, min_psnr_db=90.0))
+    assert found.of_quality().coarseness == MIN_CRF
+
+
+def test_chroma_is_full_where_halving_it_loses_more_than_quantization(
+    frames: FrameSequence, colorful: FrameSequence
+) -> None:
+    dull = ListSequence(
+        [replace(each, color=np.repeat(each.color[..., 1:2], 3, axis=2)) for each in frames], frames.info
+    )
+    assert not trials(dull).of_quality().full_chroma
+    assert trials(colorful).of_quality().full_chroma
+    found = trials(colorful)
+    choice = found.within(float(size(found, VideoChoice(30, full_chroma=True))))
+    assert choice.full_chroma
+    (packet,) = found.writer.packets(choice)
+    assert ColorVideoHeader.from_map(packet.header).codec == VideoCodec.AV1_FULL_CHROMA
+
+
+def test_a_rate_that_no_loss_fits_into_has_none(frames: FrameSequence) -> None:
+    found = trials(frames)
+    assert found.within(2.0 * size(found, EXACT)) == EXACT
+    assert not found.within(0.5 * size(found, EXACT)).exact
+
+
+def test_long_runs_of_much_data_are_parted(frames: FrameSequence, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(color_video, "MAX_FINE_RUN_PIXELS", 3 * 64 * 48)
+    found = trials(frames)
+    for choice in (EXACT, VideoChoice(40, full_chroma=True)):
+        headers = [ColorVideoHeader.from_map(packet.header) for packet in found.writer.packets(choice)]
+        assert [(header.frame, header.count) for header in headers] == [(0, 3), (3, 1)]
+    assert len(found.writer.packets(VideoChoice(40))) == 1

@@ -55,7 +55,7 @@ def test_outside_of_its_tiles_a_run_stands_still_and_takes_less() -> None:
     depth = [frame.depth for frame in nonrigid_sequence(6)]
     tiles = np.zeros(tile_grid(36, 48), np.bool_)
     tiles[:, :2] = True
-    whole, part = (encode_depth_run(depth, depth, PICTURES, each, thorough=False, threads=1) for each in (None, tiles))
+    whole, part = (encode_depth_run(depth, PICTURES, each, thorough=False, threads=1) for each in (None, tiles))
     assert len(part.payload) < 0.75 * len(whole.payload)
     video = VideoFormat(width=48, height=36, bits=DEPTH_BITS, gray=True)
     first, *_, last = (planes.luma.astype(int) for planes in decode_av1(part.payload, 6, video))

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""The color video of a live stream: one run of pictures for each batch, in the bytes that its models leave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import isinf
+
+import numpy as np
+
+from threedvc.coding.video.color_runs import decode_color, halving_error, video_format
+from threedvc.coding.video.planes import picture_of
+from threedvc.config.stages import MAX_COARSENESS
+from threedvc.encoder.packetizer.captured.color_video import (
+    ColorVideoWriter,
+    FrameSource,
+    VideoChoice,
+    video_bytes,
+)
+from threedvc.encoder.packetizer.captured.color_video_trials import MAX_CHROMA_SHARE
+from threedvc.encoder.packetizer.scene_source import BatchFrames
+from threedvc.frames.frame import Frame
+from threedvc.stream.captured_headers import ColorVideoHeader
+from threedvc.stream.packets import Packet
+
+__all__ = ["LIVE_VIDEO_SHARE", "LiveColorVideo"]
+
+LIVE_VIDEO_SHARE = 0.6
+"""Share of the bytes of a batch that models leave to the video, however much there is to send of them; what they do not
+take it gets, too. Measured on the kitchen at 48 kbit/s, see decision 0035."""
+AIM = 0.95
+"""Share of its bytes that a video aims at: sizes of the next pictures are guessed by those of the last."""
+MAX_TRIALS = 3
+"""Videos of a batch that are coded at most: frames do not wait."""
+
+
+class LiveColorVideo:
+    """Codes the pictures of a batch when it is sent.
+
+    Parameters
+    ----------
+    scene
+        The scene that takes in the frames; of it sensors and choices count.
+    """
+
+    def __init__(self, scene: FrameSource) -> None:
+        self._scene = scene
+        self._frames: dict[int, Frame] = {}
+        self._choice = VideoChoice(scene.config.video.coarseness)
+
+    def keep(self, frames: Iterable[Frame]) -> None:
+        """Keep frames until their batch is sent."""
+        self._frames |= {frame.index: frame for frame in frames}
+
+    def fits(self, batch: BatchFrames, budget_bytes: float) -> bool:
+        """Tell whether the coarsest video of a batch leaves models their share of a budget."""
+        if isinf(budget_bytes):
+            return True
+        coarsest = self._writer(batch).packets(VideoChoice(MAX_COARSENESS))
+        return video_bytes(coarsest) <= LIVE_VIDEO_SHARE * budget_bytes
+
+    def packets(self, batch: BatchFrames, budget_bytes: float) -> list[Packet]:
+        """Return the COLOR_VIDEO packets of a batch of at most so many bytes, none if that is not enough.
+
+        Its frames are forgotten.
+        """
+        writer = self._writer(batch)
+        if not isinf(budget_bytes):
+            self._choice = self._within(writer, budget_bytes)
+        packets = writer.packets(self._choice)
+        if video_bytes(packets) > budget_bytes:
+            packets = []
+        for packet in packets[:1]:
+            self._choice = self._choice._replace(full_chroma=self._wants_full_chroma(packet))
+        for number in range(batch.first, batch.stop):
+            self._frames.pop(number, None)
+        return packets
+
+    def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> VideoChoice:
+        coarseness, full_chroma, _ = self._choice
+        choice = writer.choice_within(
+            AIM * budget_bytes, full_chroma=full_chroma, start=coarseness, max_trials=MAX_TRIALS
+        )
+        fits = video_bytes(writer.packets(choice)) <= budget_bytes
+        return choice if fits else VideoChoice(MAX_COARSENESS)
+
+    def _wants_full_chroma(self, packet: Packet) -> bool:
+        """Tell by the first picture of a video whether halving chroma takes, or would take, most of its error."""
+        header, config = ColorVideoHeader.from_map(packet.header), self._scene.config
+        picture = self._frames[header.frame].color
+        height, width, _ = picture.shape
+        video = video_format(header, gray=self._scene.info.gray)
+        if video.gray or (video.width, video.height) != (width, height):
+            return False
+        planes = next(decode_color(packet.payload, header.count, video))
+        shown = picture_of(planes, video, width, height, config.threads)
+        halved = halving_error(picture, config.threads)
+        error = float(np.square(shown.astype(np.float32) - picture).mean())
+        return halved > MAX_CHROMA_SHARE * (error + halved * video.full_chroma)
+
+    def _writer(self, batch: BatchFrames) -> ColorVideoWriter:
+        return ColorVideoWriter(self._scene, dict(self._frames), [range(batch.first, batch.stop)])
