@@ -25,8 +25,8 @@ from threedvc.stream.packets import Packet, VideoCodec
 
 __all__ = [
     "EXACT",
-    "HALVING",
     "QUARTERS",
+    "SCALES",
     "ColorVideoWriter",
     "FrameSource",
     "PictureCoding",
@@ -38,9 +38,13 @@ __all__ = [
 
 BITS = 10
 """Of a sample, whatever the input has: sums are rounded less, for 2 % fewer bytes (decision 0030)."""
-SHRINKING = ((66.0, 1.0, 0.0), (70.0, 0.75, 2.0), (MAX_COARSENESS, 0.5, 6.0))
+SCALES = (0.25, 0.375, 0.5, 0.75, 1.0)
+"""Of pictures, in sides of the camera's."""
+SHRINKING = ((61.0, 1.0, 0.0), (63.5, 0.75, 3.0), (71.0, 0.5, 7.0), (74.0, 0.375, 9.25), (MAX_COARSENESS, 0.25, 12.75))
 """Up to which coarseness pictures have which scale, and by how much finer these are quantized than it says: coarse
-quantization loses more than a smaller picture of as many bytes (decision 0030)."""
+quantization loses up to 1.1 dB against a smaller picture of as many bytes (decision 0036)."""
+MAX_SCALED_CRF = 62.75
+"""Quantization beyond which a scale is not tried by itself: there SVT-AV1 leaps, and loses .3 dB and more."""
 MIN_SIDE = 16
 """No side of a picture is smaller, unless the camera's is; by hand."""
 HALVING = 7.0
@@ -80,28 +84,6 @@ class PictureSource(Protocol):
     def __getitem__(self, index: int, /) -> Frame: ...
 
 
-class VideoChoice(NamedTuple):
-    """How finely pictures are coded.
-
-    Attributes
-    ----------
-    coarseness
-        From `MIN_CRF` to `MAX_COARSENESS`.
-    full_chroma
-        Whether chroma has all rows and columns.
-    exact
-        Whether nothing is lost; the others mean nothing then.
-    """
-
-    coarseness: float
-    full_chroma: bool = False
-    exact: bool = False
-
-
-EXACT = VideoChoice(MIN_CRF, exact=True)
-"""No loss."""
-
-
 class PictureCoding(NamedTuple):
     """Scale of the pictures, and their quantization by AV1."""
 
@@ -113,6 +95,43 @@ def picture_coding(coarseness: float) -> PictureCoding:
     """Return how pictures are coded at a coarseness from `MIN_CRF` to `MAX_COARSENESS`."""
     scale, finer = next((scale, finer) for most, scale, finer in SHRINKING if coarseness <= most)
     return PictureCoding(scale, max(coarseness - finer, MIN_CRF))
+
+
+class VideoChoice(NamedTuple):
+    """How finely pictures are coded.
+
+    Attributes
+    ----------
+    coarseness
+        From `MIN_CRF` to `MAX_COARSENESS`.
+    full_chroma
+        Whether chroma has all rows and columns.
+    exact
+        Whether nothing is lost; the others mean nothing then.
+    scale
+        Of the pictures, whose quantization the coarseness is then; 0: as `picture_coding` has it.
+    """
+
+    coarseness: float
+    full_chroma: bool = False
+    exact: bool = False
+    scale: float = 0.0
+
+    @property
+    def coding(self) -> PictureCoding:
+        """Scale of the pictures, and their quantization."""
+        return PictureCoding(self.scale, self.coarseness) if self.scale else picture_coding(self.coarseness)
+
+    @property
+    def coarser(self) -> VideoChoice:
+        """The choice of half the bytes; next to the coarsest, of twice as many."""
+        coarsest = MAX_SCALED_CRF if self.scale else MAX_COARSENESS
+        coarser = self.coarseness + HALVING
+        return self._replace(coarseness=coarser if coarser <= coarsest else max(coarser - 2 * HALVING, MIN_CRF))
+
+
+EXACT = VideoChoice(MIN_CRF, exact=True)
+"""No loss."""
 
 
 @dataclass(frozen=True)
@@ -154,21 +173,18 @@ class ColorVideoWriter:
         return self.coded[choice]
 
     def choice_within(
-        self,
-        budget_bytes: float,
-        *,
-        full_chroma: bool = False,
-        start: float = FIRST_TRIAL,
-        max_trials: int = MAX_TRIALS,
+        self, budget_bytes: float, like: VideoChoice | None = None, max_trials: int = MAX_TRIALS
     ) -> VideoChoice:
         """Return the finest choice of at most so many bytes that a few trials find, or the coarsest of them.
 
-        With `MAX_TRIALS` of them that is the coarsest there is. The first one has the coarseness `start`.
+        With `MAX_TRIALS` of them that is the coarsest there is. The first one is `like`, and all have its chroma and,
+        if it has any, its scale.
         """
-        low, high = MIN_CRF, MAX_COARSENESS
-        coarseness, sizes = start, dict[float, int]()
+        like = like or VideoChoice(FIRST_TRIAL)
+        low, high = MIN_CRF, MAX_SCALED_CRF if like.scale else MAX_COARSENESS
+        coarseness, sizes = min(like.coarseness, high), dict[float, int]()
         for _ in range(max_trials):
-            size = sizes[coarseness] = video_bytes(self.packets(VideoChoice(coarseness, full_chroma)))
+            size = sizes[coarseness] = video_bytes(self.packets(like._replace(coarseness=coarseness)))
             low, high = (coarseness, high) if size > budget_bytes else (low, coarseness)
             if CLOSE * budget_bytes < size <= budget_bytes or high - low <= 1 / QUARTERS:
                 break
@@ -176,7 +192,7 @@ class ColorVideoWriter:
             if coarseness in sizes:
                 break
         fitting = [each for each, size in sizes.items() if size <= budget_bytes]
-        return VideoChoice(min(fitting) if fitting else max(sizes), full_chroma)
+        return like._replace(coarseness=min(fitting) if fitting else max(sizes))
 
     def _numbers(self, batches: Iterable[range]) -> Iterator[tuple[int, list[int]]]:
         """Yield the sensor and the numbers of the frames of each run."""
@@ -203,7 +219,7 @@ class ColorVideoWriter:
 
     def _packet(self, run: _Run, choice: VideoChoice) -> Packet:
         camera, config = self._scene.info.rigs[run.sensor].color, self._scene.config
-        coding = picture_coding(choice.coarseness)
+        coding = choice.coding
         columns, rows = (_scaled(side, coding.scale) for side in (camera.width, camera.height))
         video = VideoFormat(
             width=columns,

@@ -13,11 +13,10 @@ from threedvc.coding.video.planes import picture_of
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.packetizer.captured.color_video import (
     EXACT,
-    HALVING,
     QUARTERS,
+    SCALES,
     ColorVideoWriter,
     VideoChoice,
-    picture_coding,
     video_bytes,
 )
 from threedvc.encoder.rate.objective import MIN_SLOPE, ColorCost
@@ -43,12 +42,14 @@ DB_PER_COARSENESS, MIN_DB_PER_COARSENESS = 0.36, 0.05
 """By how much one of coarseness lowers PSNR, about, and at least."""
 CLOSE_DB = 0.15
 """Beyond a PSNR that was asked for this is close enough: a quarter of coarseness is about a tenth."""
+COARSE_CRF = 61.0
+"""Quantization with which larger pictures are tried first."""
 MAX_STEPS = 8
 """Trials on the way to a PSNR; three are the rule."""
 PEAK = 255.0
 """Largest level of a channel."""
 ENOUGH = 0.95
-"""Share of a budget that the finest lossy video takes at least; otherwise one without loss may fit."""
+"""Share of a budget that a video takes at least; otherwise a smaller scale is tried, or one without loss may fit."""
 
 
 class _ColorErrors(NamedTuple):
@@ -88,11 +89,26 @@ class ColorVideoTrials:
 
     def within(self, budget_bytes: float) -> VideoChoice:
         """Return the best choice of at most so many bytes that a few trials find, or the coarsest there is."""
-        choice = self.writer.choice_within(budget_bytes)
+        choice = self._best_scale(self.writer.choice_within(budget_bytes), budget_bytes)
         if self._wants_full_chroma(choice):
-            choice = self.writer.choice_within(budget_bytes, full_chroma=True)
+            choice = self.writer.choice_within(budget_bytes, choice._replace(full_chroma=True, scale=0.0))
         if choice.coarseness == MIN_CRF and self._size(choice) < ENOUGH * budget_bytes:
             return EXACT if self._size(EXACT) <= budget_bytes else choice
+        return choice
+
+    def _best_scale(self, choice: VideoChoice, budget_bytes: float) -> VideoChoice:
+        """Return a choice of larger pictures of as many bytes while these have a smaller error: still ones may.
+
+        Smaller ones are tried, too, where sizes leap over a part of the bytes.
+        """
+        larger = [scale for scale in SCALES if scale > choice.coding.scale]
+        smaller = [scale for scale in SCALES if scale < choice.coding.scale][-1:]
+        for scale in [*(smaller if self._size(choice) < ENOUGH * budget_bytes else []), *larger]:
+            other = self.writer.choice_within(budget_bytes, VideoChoice(COARSE_CRF, scale=scale))
+            if self._size(other) <= budget_bytes and self._errors(other).logarithm < self._errors(choice).logarithm:
+                choice = other
+            elif scale in larger:
+                break
         return choice
 
     def of_quality(self) -> VideoChoice:
@@ -133,7 +149,7 @@ class ColorVideoTrials:
         if self._scene.config.video.lossless:
             return ColorCost.of_slope(float(self._size(EXACT)), MIN_SLOPE, fixed=False)
         asked = self.of_quality() if budget_bytes is None else self._likely(LIKELY_SHARE * budget_bytes)
-        tried = (asked, _coarser(asked))
+        tried = (asked, asked.coarser)
         sizes = [float(self._size(each)) for each in tried]
         errors = [self._errors(each).logarithm for each in tried]
         if budget_bytes is None:
@@ -144,9 +160,11 @@ class ColorVideoTrials:
         return ColorCost([sizes[k] for k in order], [errors[k] for k in order], budget_bytes, least)
 
     def _likely(self, budget_bytes: float) -> VideoChoice:
-        """Return the choice coded so far, with chroma as it should be, that comes nearest to so many bytes."""
+        """Return the choice coded so far, like the best one, that comes nearest to so many bytes."""
         found = self.within(budget_bytes)
-        alike = [each for each in self.writer.coded if each.full_chroma == found.full_chroma and not each.exact]
+        if found.exact:
+            return self.writer.choice_within(budget_bytes)
+        alike = [each for each in self.writer.coded if each[1:] == found[1:] and not each.exact]
         return min(alike, key=lambda each: abs(np.log(self._size(each) / budget_bytes)))
 
     def _size(self, choice: VideoChoice) -> int:
@@ -154,7 +172,7 @@ class ColorVideoTrials:
 
     def _wants_full_chroma(self, choice: VideoChoice) -> bool:
         """Tell whether halving chroma takes more of the error of a choice than full chroma would cost."""
-        if choice.full_chroma or choice.exact or picture_coding(choice.coarseness).scale < 1 or self._scene.info.gray:
+        if choice.full_chroma or choice.exact or choice.coding.scale < 1 or self._scene.info.gray:
             return False
         return self._error_of_halving() > MAX_CHROMA_SHARE * self._errors(choice).square
 
@@ -190,9 +208,3 @@ class ColorVideoTrials:
             if number % every == 0:
                 shown = picture_of(planes, video, camera.width, camera.height, scene.config.threads)
                 yield psnr(self._frames[number].color, shown)
-
-
-def _coarser(choice: VideoChoice) -> VideoChoice:
-    """Return the choice of half the bytes; next to the coarsest, of twice as many."""
-    coarser = choice.coarseness + HALVING
-    return choice._replace(coarseness=coarser if coarser <= MAX_COARSENESS else max(coarser - 2 * HALVING, MIN_CRF))

@@ -77,10 +77,7 @@ class LiveColorVideo:
         return packets
 
     def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> VideoChoice:
-        coarseness, full_chroma, _ = self._choice
-        choice = writer.choice_within(
-            AIM * budget_bytes, full_chroma=full_chroma, start=coarseness, max_trials=MAX_TRIALS
-        )
+        choice = writer.choice_within(AIM * budget_bytes, self._choice, MAX_TRIALS)
         fits = video_bytes(writer.packets(choice)) <= budget_bytes
         return choice if fits else VideoChoice(MAX_COARSENESS)
 
