@@ -43,8 +43,9 @@ __all__ = ["choose_depth_video"]
 SCALES, LARGE_SCALES = (0.25, 0.375, 0.5), (0.75, 1.0)
 """Sizes that are tried, in sides of the depth map, the least first: its bytes usually tell that none is worth it. Large
 ones are tried while each gains more than the one before: high rates want them."""
-MIDDLE_CRF, CRF_STEPS = 22, (8, -7)
-"""Sizes are tried with a middling quality of AV1, then the best size with coarser and finer ones while they gain."""
+MIDDLE_CRF, CRF_STEPS = 22, (8, -7, 4, -3)
+"""Sizes are tried with a middling quality of AV1, then the best size with coarser and finer ones while they gain,
+in large steps and then in small ones."""
 MIN_CRF, MAX_CRF = 1, 60
 """The finest quality of AV1, and the coarsest that is tried."""
 COARSE_CRFS = 35, 48
