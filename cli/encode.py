@@ -64,7 +64,9 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,
               help="How much work: send at once; fit colors; refine cameras and poses, too; for longer.")  # fmt: skip
 @click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
-@click.option("--quality", type=int, metavar="1..100", help="Fineness of cells and colors.  [default: 50]")
+@click.option("--quality", type=int, metavar="1..100",
+              help="Fineness of cells and colors: below 32 the smallest streams, at 50 at least 29 dB, at 90 visually "
+              "lossless.  [default: 50]")  # fmt: skip
 @click.option("--favor", type=click.Choice(["color", "depth"]),
               help="What gets more of the bytes of a file than usual.  [default: neither]")  # fmt: skip
 @click.option("--relief", type=click.IntRange(0, 3), metavar="0..3",
@@ -78,7 +80,7 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
               "the sensor tells, or none.")  # fmt: skip
 @click.option("--color-video", type=click.Choice(["auto", "on", "off"]), default="auto", show_default=True,
               help="Add a video of the pictures in place of the models' colors; auto: if that looks better at as many "
-              "bytes.")  # fmt: skip
+              "bytes, or live if the rate has room for it.")  # fmt: skip
 @click.option("--lossless", is_flag=True,
               help="Keep every color and depth exactly: the same as --color-video on, without loss, and --depth-error "
               "lossless.")  # fmt: skip

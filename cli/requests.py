@@ -160,9 +160,8 @@ class EncodeRequest(ReaderRequest):
         if self.causal and self.preset not in ("live", "medium"):
             raise click.UsageError(f"--causal and --preset {self.preset} contradict each other; give one of them")
         live = self.causal or self.preset == "live"
-        for video, choice in (("--depth-video", self.depth_video), ("--color-video", self.color_video)):
-            if choice == "on" and live:
-                raise click.UsageError(f"{video} on and --preset live contradict each other; give one of them")
+        if self.depth_video == "on" and live:
+            raise click.UsageError("--depth-video on and --preset live contradict each other; give one of them")
         if self.lossless:
             for option, given in (
                 ("--bitrate", self.bitrate is not None),

@@ -93,6 +93,13 @@ def test_live_streams_have_no_depth_video(place: Path) -> None:
     assert not (place / "no.3dvc").exists()
 
 
+def test_live_streams_have_a_color_video(place: Path, tmp_path: Path) -> None:
+    options = ["--color-video", "on", "--preset", "live", "--verify"]
+    result = run("encode", place / "toys", tmp_path / "live.3dvc", *options)
+    assert result.exit_code == 0, result.stderr
+    assert "COLOR_VIDEO" in run("stats", tmp_path / "live.3dvc").stdout
+
+
 def test_trajectory_of_a_moving_camera(tmp_path: Path) -> None:
     assert run("synth", tmp_path / "room", "--scene", "room", "--frames", "5", "--size", "64x48").exit_code == 0
     options = ["--motion", "known", "--voxel-size", "8cm", "--preset", "fast"]
