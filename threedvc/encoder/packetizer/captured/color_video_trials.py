@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -116,30 +116,31 @@ class ColorVideoTrials:
         video = self._scene.config.video
         if video.lossless:
             return EXACT
-        halved = self._error_of_halving() if video.min_psnr_db > 0 else 0.0
-        full = halved > MAX_CHROMA_SHARE * PEAK**2 * 10 ** (-video.min_psnr_db / 10)
-        choice = VideoChoice(video.coarseness, full)
-        if self._wants_full_chroma(choice):
-            choice = choice._replace(full_chroma=True)
-        spare = self._errors(choice).psnr_db - video.min_psnr_db
-        return choice if spare >= 0 else self._finer(choice, -spare)
+        choice = VideoChoice(video.coarseness)
+        psnr_db = self._errors(choice).psnr_db
+        asked_db = max(psnr_db, video.min_psnr_db)
+        if (psnr_db < asked_db or choice.coding.scale == 1) and self._halving_costs(_square(asked_db)):
+            return self._coarsest(choice._replace(full_chroma=True), asked_db)
+        return choice if psnr_db >= asked_db else self._coarsest(choice, asked_db)
 
-    def _finer(self, poor: VideoChoice, missing_db: float) -> VideoChoice:
-        """Return the coarsest choice of a few tried that has the PSNR asked for, or the finest; `poor` has not."""
-        too_coarse, fine = poor.coarseness, MIN_CRF
-        slope, asked_db = DB_PER_COARSENESS, self._scene.config.video.min_psnr_db
+    def _coarsest(self, choice: VideoChoice, asked_db: float) -> VideoChoice:
+        """Return the coarsest choice of a few, the first of which is given, that has a PSNR; if none has, the finest."""
+        fine, too_coarse = MIN_CRF, MAX_COARSENESS
+        coarseness, slope = choice.coarseness, DB_PER_COARSENESS
+        before: tuple[float, float] | None = None
         for _ in range(MAX_STEPS):
-            step = round(QUARTERS * missing_db / slope) / QUARTERS
-            coarseness = float(np.clip(too_coarse - step, fine, too_coarse - 1 / QUARTERS))
-            spare = self._errors(poor._replace(coarseness=coarseness)).psnr_db - asked_db
-            slope = max((missing_db + spare) / (too_coarse - coarseness), MIN_DB_PER_COARSENESS)
-            if spare < 0:
-                too_coarse, missing_db = coarseness, -spare
-            else:
-                fine = coarseness
+            spare = self._errors(choice._replace(coarseness=coarseness)).psnr_db - asked_db
+            fine, too_coarse = (coarseness, too_coarse) if spare >= 0 else (fine, coarseness)
             if 0 <= spare < CLOSE_DB or too_coarse - fine <= 1 / QUARTERS:
                 break
-        return poor._replace(coarseness=fine)
+            if before is not None and before[0] != coarseness:
+                slope = max((before[1] - spare) / (coarseness - before[0]), MIN_DB_PER_COARSENESS)
+            before = coarseness, spare
+            aim = coarseness + (spare - CLOSE_DB / 2) / slope
+            coarseness = float(np.clip(round(QUARTERS * aim) / QUARTERS, fine, too_coarse))
+            if coarseness in (fine, too_coarse) and coarseness != MIN_CRF:
+                coarseness = round(QUARTERS * (fine + too_coarse) / 2) / QUARTERS
+        return choice._replace(coarseness=fine)
 
     def cost(self, budget_bytes: float | None) -> ColorCost:
         """Return what bytes cost that a color video does not get.
@@ -171,10 +172,13 @@ class ColorVideoTrials:
         return video_bytes(self.writer.packets(choice))
 
     def _wants_full_chroma(self, choice: VideoChoice) -> bool:
-        """Tell whether halving chroma takes more of the error of a choice than full chroma would cost."""
-        if choice.full_chroma or choice.exact or choice.coding.scale < 1 or self._scene.info.gray:
-            return False
-        return self._error_of_halving() > MAX_CHROMA_SHARE * self._errors(choice).square
+        """Tell whether halving chroma takes so much of the error of a choice that full chroma is better."""
+        plain = not (choice.full_chroma or choice.exact) and choice.coding.scale == 1
+        return plain and self._halving_costs(self._errors(choice).square)
+
+    def _halving_costs(self, square: float) -> bool:
+        """Tell whether halving chroma takes so much of a squared error that full chroma is better."""
+        return not self._scene.info.gray and self._error_of_halving() > MAX_CHROMA_SHARE * square
 
     def _error_of_halving(self) -> float:
         """Return the mean squared error of pictures of which nothing but chroma's rows and columns is lost."""
@@ -190,7 +194,7 @@ class ColorVideoTrials:
             every = sampling_stride(len(self._frames), SAMPLED_FRAMES, self._frames.info)
             packets = self.writer.packets(choice)
             decibels = np.array([each for packet in packets for each in self._decibels(packet, every)])
-            squares = PEAK**2 * 10 ** (-decibels / 10)
+            squares = _square(decibels)
             self._measured[choice] = _ColorErrors(
                 float(squares.mean()), float(np.log(squares + 1).mean()), float(decibels.mean())
             )
@@ -208,3 +212,8 @@ class ColorVideoTrials:
             if number % every == 0:
                 shown = picture_of(planes, video, camera.width, camera.height, scene.config.threads)
                 yield psnr(self._frames[number].color, shown)
+
+
+def _square(psnr_db: Any) -> Any:
+    """Return the mean squared error that a PSNR tells."""
+    return PEAK**2 * 10 ** (-psnr_db / 10)

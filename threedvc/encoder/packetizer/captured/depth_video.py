@@ -46,8 +46,8 @@ ones are tried while each gains more than the one before: high rates want them."
 MIDDLE_CRF, CRF_STEPS = 22, (8, -7, 4, -3)
 """Sizes are tried with a middling quality of AV1, then the best size with coarser and finer ones while they gain,
 in large steps and then in small ones."""
-MIN_CRF, MAX_CRF = 1, 60
-"""The finest quality of AV1, and the coarsest that is tried."""
+MIN_CRF, MAX_CRF = 12, 60
+"""The finest quality that is tried, beyond which depth without loss takes no more bytes (fr1_rpy), and the coarsest."""
 COARSE_CRFS = 35, 48
 """Tried where the middling one exceeds what a video may take."""
 TRIAL_FRAMES, TRIAL_PICTURES = 60, 8
