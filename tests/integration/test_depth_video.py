@@ -26,13 +26,12 @@ from threedvc.decoder import packet_handlers
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.verification import verified
 from threedvc.encoder.packetizer.captured import depth_video as video_choice
-from threedvc.encoder.packetizer.captured.depth_run import is_everywhere
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.errors import ConfigError, CorruptStream, LimitExceeded
 from threedvc.formats.container import StreamReader
 from threedvc.frames.multi_sensor import MergedSequence
-from threedvc.render.captured_depth import EDGE, CapturedDepth, DepthLaw, depth_levels
+from threedvc.render.captured_depth import EDGE, CapturedDepth, depth_levels
 from threedvc.stream.batch import pack_batch, unpack_batch
 from threedvc.stream.captured_headers import DepthVideoHeader, VideoHeader
 from threedvc.stream.headers import BatchHeader
@@ -57,21 +56,6 @@ def test_levels_rise_by_their_ratio() -> None:
     assert LEVELS.shape == (1024,)
     np.testing.assert_allclose(LEVELS, 0.5 * 1.0025 ** np.arange(1024), rtol=1e-11)
     np.testing.assert_allclose(depth_levels(0.5, 1.01, 8), 0.5 * 1.01 ** np.arange(256), rtol=1e-12)
-
-
-def test_levels_rise_by_steps_of_their_inverse_root() -> None:
-    levels = depth_levels(0.5, 1.0025, 10, DepthLaw.INVERSE_ROOT)
-    np.testing.assert_allclose(levels[[0, -1]], LEVELS[[0, -1]], rtol=1e-12)
-    np.testing.assert_allclose(np.diff(levels**-0.5), (levels[-1] ** -0.5 - levels[0] ** -0.5) / 1023, rtol=1e-9)
-
-
-@pytest.mark.parametrize(("holes", "everywhere"), [(0.0, True), (0.2, True), (0.8, False)])
-def test_a_run_is_shown_everywhere_where_models_miss_more_than_the_sensor(holes: float, everywhere: bool) -> None:
-    measured = np.ones((10, 10), np.float32)
-    drawn = measured.copy()
-    drawn[:, :5] = 0
-    measured[: int(10 * holes), :5] = 0
-    assert is_everywhere([measured], [drawn]) == everywhere
 
 
 def test_samples_of_full_size_are_shown_as_they_are(rng: np.random.Generator) -> None:

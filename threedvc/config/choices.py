@@ -53,9 +53,9 @@ class DepthErrorKind(StrEnum):
 
 
 class ColorVideo(StrEnum):
-    """Whether a file carries a video of the color pictures in place of the models' colors.
+    """Whether a stream carries a video of the color pictures in place of the models' colors.
 
-    AUTO: if the frames look better so at as many bytes. A live stream cannot have one.
+    AUTO: if the frames look better so at as many bytes; live, if the rate has room for one.
     """
 
     AUTO = "auto"

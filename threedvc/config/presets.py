@@ -29,8 +29,8 @@ QUALITY_PER_STEP = 16
 """More halve the steps of colors (decision 0010): about three halvings to either side of the middle."""
 QUALITY_PER_CELL = 50
 """More halve the edge of cells (decision 0010): once to either side, as it makes four times as many."""
-COARSENESS_PER_QUALITY = 1.1
-"""By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32 to the coarsest."""
+COARSENESS_PER_QUALITY, COARSENESS_PER_LOW_QUALITY = 1.1, 1.25
+"""By which quality 90 comes to 40 dB on recordings of noisy cameras, and 32, below the middle, to the coarsest."""
 PSNR_PER_QUALITY, PSNR_PER_LOW_QUALITY = 0.275, 0.4
 """By which quality 90 has 40 dB at least, on noisy recordings, too; below the middle about as coarseness goes."""
 VIDEO_QUALITY = 32
@@ -69,7 +69,8 @@ def with_quality(config: EncoderConfig, quality: int) -> EncoderConfig:
 
 
 def _coarseness(quality: int) -> float:
-    coarseness = MIDDLE_COARSENESS + COARSENESS_PER_QUALITY * (MIDDLE_QUALITY - quality)
+    below = MIDDLE_QUALITY - quality
+    coarseness = MIDDLE_COARSENESS + (COARSENESS_PER_LOW_QUALITY if below > 0 else COARSENESS_PER_QUALITY) * below
     return min(max(round(4 * coarseness) / 4, MIN_CRF), MAX_COARSENESS)
 
 

@@ -139,7 +139,7 @@ class Decoder:
         yield from _idle_frames(state, header.frame)
         changes = changes_by_frame(header, read_batch(packet), state)
         for frame in range(header.frame, header.stop):
-            for change in changes.get(frame, ()):
+            for change in changes.pop(frame, ()):
                 change()
             yield state.next_frame()
 

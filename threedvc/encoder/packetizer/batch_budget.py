@@ -36,7 +36,6 @@ class BatchBudget:
 
     def __init__(self, config: EncoderConfig, fps: float, head: Sequence[Packet]) -> None:
         self._fps = fps
-        self._batches = 0
         self._bucket: LeakyBucket | None = None
         if config.causal and config.bitrate_bps is not None:
             self._bucket = LeakyBucket(config.bitrate_bps / 8, config.live_buffer_s)
@@ -51,15 +50,14 @@ class BatchBudget:
             return inf
         seconds = frames / self._fps
         self._bucket.wait(seconds)
-        self._batches += 1
         needed_bytes = packed_bytes(needed) + MAX_BATCH_FRAMING_BYTES
         # The next batch may be the last, and will need about as much as this one.
-        reserve = float(MAX_END_BYTES + MAX_INDEX_ENTRY_BYTES * (self._batches + 1))
+        reserve = float(MAX_END_BYTES + MAX_INDEX_ENTRY_BYTES)
         if not last:
             reserve = max(reserve + needed_bytes - self._bucket.refill(seconds), 0.0)
         return self._bucket.available - needed_bytes - reserve
 
     def close_batch(self, batch: Packet) -> None:
-        """Note that a BATCH was sent."""
+        """Note that a BATCH was sent, which takes an entry of the INDEX at the end."""
         if self._bucket is not None:
-            self._bucket.take(len(batch.payload) + MAX_BATCH_FRAMING_BYTES)
+            self._bucket.take(len(batch.payload) + MAX_BATCH_FRAMING_BYTES + MAX_INDEX_ENTRY_BYTES)

@@ -180,7 +180,7 @@ class ModelPackets:
         while len(payload) > budget_bytes and not update.empty:
             share = BUDGET_SHARE * budget_bytes / len(payload)
             item = self._scene.objects[sent.number]
-            update = select_within(update, item.evidence, sent.unquantized, share, item.in_sight)
+            update = select_within(update, item.evidence, sent.unquantized, share, item.in_sight, colored=self._colored)
             payload, decoded = self._encode(update, sent)
         return update, payload, decoded
 

@@ -23,6 +23,7 @@ from threedvc.frames.sequence import DownsampledSequence, FrameSequence, samplin
 from threedvc.geometry.pose import Pose
 
 __all__ = [
+    "may_be_coarse",
     "surface_bytes",
     "with_affordable_cells",
     "with_affordable_geometry",
@@ -125,9 +126,19 @@ def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCos
     )
 
 
-def with_coarse_cells(state: Reconstruction, fusion: FusionPass) -> Reconstruction:
-    """Take cells for which little is spent, as they serve other viewpoints alone: a video shows all depth."""
-    return with_relief_chosen(_with_cells(state, fusion, COARSER))
+def may_be_coarse(state: Reconstruction) -> bool:
+    """Tell whether cells may be widened: there is a background alone, which moves, in cells that nobody has chosen."""
+    objects = state.scene.objects
+    return state.config.voxel_size_m is None and set(objects) == {0} and not objects[0].at_rest
+
+
+def with_coarse_cells(state: Reconstruction, relief_bits: int | None, fusion: FusionPass) -> Reconstruction:
+    """Take cells for which little is spent, as they serve other viewpoints alone: a video shows all depth.
+
+    `relief_bits` are those asked for, or None: they are chosen anew.
+    """
+    config = replace(state.config, appearance=replace(state.config.appearance, relief_bits=relief_bits))
+    return with_relief_chosen(_with_cells(replace(state, config=config), fusion, COARSER))
 
 
 def with_relief_chosen(state: Reconstruction) -> Reconstruction:

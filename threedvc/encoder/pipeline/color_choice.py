@@ -17,7 +17,7 @@ from threedvc.encoder.appearance.rate_distortion import least_color_error
 from threedvc.encoder.packetizer.captured.color_video_trials import ColorVideoTrials
 from threedvc.encoder.packetizer.captured.depth_residual import residual_packets
 from threedvc.encoder.pipeline.budget import bits_per_second, stream_budget
-from threedvc.encoder.pipeline.cell_size_trials import with_coarse_cells
+from threedvc.encoder.pipeline.cell_size_trials import may_be_coarse, with_coarse_cells
 from threedvc.encoder.pipeline.color_video_stream import color_video_stream
 from threedvc.encoder.pipeline.decoded_error import decoded_error
 from threedvc.encoder.pipeline.fusion_pass import FusionPass, Reconstruction
@@ -53,14 +53,14 @@ def file_stream(found: Reconstruction, fusion: FusionPass) -> FileStream:
     """Return the stream of a reconstruction whose objects and poses are found, with the better sort of colors."""
     mode = found.config.color_video
     if mode is ColorVideo.ON:
-        return _with_video(found, fusion)
+        return _with_video(found, fusion)[0]
     if mode is ColorVideo.OFF or not can_encode_av1():
         return _with_model_colors(found, fusion)
-    filmed = _with_video(found, fusion)
+    filmed, fine = _with_video(found, fusion)
     budget = stream_budget(found)
     within = budget is None or stream_bytes(filmed.packets) <= OVER_BUDGET * budget
     error = decoded_error(filmed.packets, filmed.state.scene, fusion.frames)
-    if within and least_color_error(filmed.state.scene, fusion.frames) > error.color + HOPE:
+    if within and least_color_error(fine.scene, fusion.frames) > error.color + HOPE:
         return filmed
     rate = found.config.bitrate_bps or bits_per_second(found, stream_bytes(filmed.packets))
     painted = _with_model_colors(replace(found, config=replace(found.config, bitrate_bps=rate)), fusion)
@@ -71,8 +71,8 @@ def file_stream(found: Reconstruction, fusion: FusionPass) -> FileStream:
     return painted if good and other.total < error.total else filmed
 
 
-def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
-    """Let a video show the colors."""
+def _with_video(found: Reconstruction, fusion: FusionPass) -> tuple[FileStream, Reconstruction]:
+    """Let a video show the colors; return the reconstruction, too, with cells that are not widened in the end."""
     trials = ColorVideoTrials(found.scene, fusion.frames, batch_length(found.info, found.config, video=True))
     cost = trials.cost(stream_budget(found))
 
@@ -88,10 +88,10 @@ def _with_video(found: Reconstruction, fusion: FusionPass) -> FileStream:
         return objective(others, misfit, found.config.depth_weight)
 
     fine = stream(improve_geometry(found, fusion, cost))
-    if not _shows_all_depth(fine.packets) or found.config.voxel_size_m is not None:
-        return fine
-    coarse = stream(with_coarse_cells(fine.state, fusion))
-    return coarse if error(coarse) < error(fine) - MIN_GAIN else fine
+    if not _shows_all_depth(fine.packets) or not may_be_coarse(found):
+        return fine, fine.state
+    coarse = stream(with_coarse_cells(fine.state, found.config.appearance.relief_bits, fusion))
+    return coarse if error(coarse) < error(fine) - MIN_GAIN else fine, fine.state
 
 
 def _shows_all_depth(packets: Sequence[Packet]) -> bool:

@@ -139,28 +139,31 @@ class Encoder:
 
     def _live(self, frames: Iterable[Frame], reporter: FrameReporter) -> Iterator[Packet]:
         """Send each batch when the first frame after it comes, so that the last batch is known to be it."""
-        packetizer: Packetizer | None = None
         video = (
             None if self.config.color_video is ColorVideo.OFF or not can_encode_av1() else LiveColorVideo(self.scene)
         )
+        packetizer: Packetizer | None = None
         sent = 0
+
+        def due(*, last: bool) -> Iterator[Packet]:
+            nonlocal packetizer, video, sent
+            if packetizer is None:
+                video = self._live_video(video)
+                packetizer = new_packetizer(self.state, StreamChoices(config=self.config), live_video=video)
+                yield from packetizer.stream_headers()
+            count = len(self.reports) - sent  # whole moments: sensors may take more frames than a batch has
+            yield from batches(packetizer, self.state, sent, count, last=last)
+            sent += count
+            if last:
+                yield packetizer.end()
+
         for frame_set in frame_sets(frames, self._info):
             if len(self.reports) - sent >= self._batch_frames:
-                if packetizer is None:
-                    video = self._live_video(video)
-                    packetizer = new_packetizer(self.state, StreamChoices(config=self.config), live_video=video)
-                    yield from packetizer.stream_headers()
-                yield from batches(packetizer, self.state, sent, self._batch_frames, last=False)
-                sent = len(self.reports)
+                yield from due(last=False)
             self.reports.extend(reporter.fuse(self.scene, frame_set))
             if video is not None:
                 video.keep(frame_set)
-        if packetizer is None:
-            video = self._live_video(video)
-            packetizer = new_packetizer(self.state, StreamChoices(config=self.config), live_video=video)
-            yield from packetizer.stream_headers()
-        yield from batches(packetizer, self.state, sent, self._batch_frames, last=True)
-        yield packetizer.end()
+        yield from due(last=True)
 
     def _live_video(self, video: LiveColorVideo | None) -> LiveColorVideo | None:
         """Return the color video of a stream that begins with the frames so far; None if models leave it too little."""

@@ -14,6 +14,7 @@ from threedvc.encoder.packetizer.packetizer import Packetizer
 from threedvc.encoder.pipeline.fusion_pass import Reconstruction
 from threedvc.errors import SequenceError
 from threedvc.frames.frame import SequenceInfo
+from threedvc.limits import MAX_PAYLOAD_BYTES
 from threedvc.model.post_filter import PostFilter
 from threedvc.stream.packets import Packet
 
@@ -25,8 +26,12 @@ viewer waits for them."""
 VIDEO_BATCH_S = 10
 """Seconds of a batch with a color video: a picture that is not predicted takes as much as twenty others. Against two
 seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
-MAX_VIDEO_BATCH_SAMPLES = 1 << 27
-"""Pixels of such a batch: of 4 bits each they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
+MAX_VIDEO_BATCH_PIXELS, MAX_FINE_BATCH_PIXELS = 1 << 27, 1 << 25
+"""Pixels of such a batch: of 4 bits each, and of fine ones 16, they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
+FINE_COARSENESS = 30.0
+"""Coarseness below which pictures may have more than 4 bits a pixel; at it a noisy camera has 2 with full chroma."""
+MAX_BATCH_BYTES = MAX_PAYLOAD_BYTES // 2
+"""Of a batch at a rate; some take more than others."""
 MAX_LOSSLESS_BATCH_PIXELS = 1 << 24
 """Pixels of a batch with a lossless video: of 32 bits each they do not exceed a payload, and noise takes 27."""
 
@@ -85,8 +90,13 @@ def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = Fal
     if not video:
         return max(1, round((LIVE_BATCH_S if config.causal else FILE_BATCH_S) * info.fps))
     pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
-    most = MAX_LOSSLESS_BATCH_PIXELS if config.video.lossless else MAX_VIDEO_BATCH_SAMPLES
-    return max(1, min(round(VIDEO_BATCH_S * info.fps), most // pixels))
+    most: float = MAX_FINE_BATCH_PIXELS if config.video.coarseness < FINE_COARSENESS else MAX_VIDEO_BATCH_PIXELS
+    if config.video.lossless:
+        most = MAX_LOSSLESS_BATCH_PIXELS
+    most = most // pixels
+    if config.bitrate_bps is not None:
+        most = min(MAX_VIDEO_BATCH_PIXELS // pixels, 8 * MAX_BATCH_BYTES * info.fps / config.bitrate_bps)
+    return max(1, min(round(VIDEO_BATCH_S * info.fps), int(most)))
 
 
 def batches(

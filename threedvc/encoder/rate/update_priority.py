@@ -36,7 +36,9 @@ REMOVED_BITS, RECOLORED_BITS = 6.0, 5.5
 """About what a block with new cells takes, and each cell: by hand, after fits to parts of updates of recorded rooms."""
 
 
-def information_gain_bits(update: ModelUpdate, model: EvidenceModel, sent: DecodedModel) -> NDArray[np.float64]:
+def information_gain_bits(
+    update: ModelUpdate, model: EvidenceModel, sent: DecodedModel, *, colored: bool = True
+) -> NDArray[np.float64]:
     """Return by how much sending each cell lessens the uncertainty of a receiver.
 
     Parameters
@@ -47,6 +49,8 @@ def information_gain_bits(update: ModelUpdate, model: EvidenceModel, sent: Decod
         Evidence about them.
     sent
         What the receiver has.
+    colored
+        Whether cells have colors, and do not only tell where a surface is.
 
     Returns
     -------
@@ -61,9 +65,11 @@ def information_gain_bits(update: ModelUpdate, model: EvidenceModel, sent: Decod
     before, color = np.ones(len(cells)), np.full(len(cells), CHANNELS * UNKNOWN_BITS)
     held = slice(len(update.added), None)
     before[held] = (np.logaddexp(0, SURE_LOG_ODDS) - occupied[held] * SURE_LOG_ODDS) / np.log(2)
-    residual = model.color.reshape(-1, CHANNELS)[positions[held]] - _held_colors(sent, cells[held])
-    color[held] = cross_entropy_bits(residual, weight[held, None]).sum(axis=1)
-    gained = before - bernoulli_entropy_bits(log_odds) + occupied * (color - CHANNELS * channel_bits(weight))
+    gained = before - bernoulli_entropy_bits(log_odds)
+    if colored:
+        residual = model.color.reshape(-1, CHANNELS)[positions[held]] - _held_colors(sent, cells[held])
+        color[held] = cross_entropy_bits(residual, weight[held, None]).sum(axis=1)
+        gained += occupied * (color - CHANNELS * channel_bits(weight))
     return np.asarray(np.maximum(gained, 0.0))
 
 
@@ -97,6 +103,8 @@ def select_within(
     sent: DecodedModel,
     share: float,
     in_sight: NDArray[np.bool_],
+    *,
+    colored: bool = True,
 ) -> ModelUpdate:
     """Return the part of an update that gains most information per bit, of at most about a share of its bits.
 
@@ -112,10 +120,12 @@ def select_within(
         How much of the update's coded size may be taken; blocks of 8x8x8 cells are taken whole.
     in_sight
         (blocks of the evidence,) which blocks were in the field of view lately.
+    colored
+        Whether cells have colors.
     """
     positions = model.index.locate(_cells(update))
     numbers, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
-    gained = np.bincount(member, information_gain_bits(update, model, sent), minlength=len(numbers))
+    gained = np.bincount(member, information_gain_bits(update, model, sent, colored=colored), minlength=len(numbers))
     gained *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
     cost = bits_taken(update, member, len(numbers))
     order = np.argsort(-gained / cost, kind="stable")

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from math import ceil, log2
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from threedvc.coding.video.av1 import Av1Settings
-from threedvc.coding.video.color_runs import encode_color
+from threedvc.coding.video.color_runs import encode_color, video_format
 from threedvc.coding.video.ffv1 import EXACT_BITS, encode_ffv1
 from threedvc.coding.video.jpeg import encode_jpeg_files
 from threedvc.coding.video.planes import Planes, VideoFormat, planes_of, spare_magnification
@@ -55,11 +56,10 @@ FIRST_TRIAL = 60.0
 """Coarseness that is tried first where nothing is known."""
 MAX_TRIALS = 7
 """Videos that a search codes at most; three or four are the rule."""
+MAX_KEPT = 6
+"""Choices whose packets are kept: those of long recordings at high rates take much memory."""
 QUARTERS = 4
 """Steps of coarseness that are tried are a quarter: the encoder has no finer ones."""
-MAX_FINE_RUN_PIXELS = 1 << 24
-"""Pixels of a run with full chroma or without loss: of 32 bits each they do not exceed a payload
-(`MAX_PAYLOAD_BYTES`), and noise takes 27."""
 
 
 class FrameSource(Protocol):
@@ -158,19 +158,30 @@ class ColorVideoWriter:
     Attributes
     ----------
     coded
-        The packets so far, by choice.
+        The packets of the last few choices.
+    sizes
+        The bytes of all choices so far.
     """
 
     def __init__(self, scene: FrameSource, frames: PictureSource, batches: Iterable[range]) -> None:
         self._scene, self._frames = scene, frames
         self._runs = [self._run(*run) for run in self._numbers(batches)]
         self.coded: dict[VideoChoice, list[Packet]] = {}
+        self.sizes: dict[VideoChoice, int] = {}
 
     def packets(self, choice: VideoChoice) -> list[Packet]:
         """Return the COLOR_VIDEO packets of a choice, in the order of their frames."""
         if choice not in self.coded:
-            self.coded[choice] = [packet for run in self._runs for packet in self._packets(run, choice)]
+            make = self._exact_packet if choice.exact else partial(self._packet, choice)
+            self.coded[choice] = [make(run) for run in self._runs]
+            self.sizes[choice] = video_bytes(self.coded[choice])
+            for old in list(self.coded)[:-MAX_KEPT]:
+                del self.coded[old]
         return self.coded[choice]
+
+    def size(self, choice: VideoChoice) -> int:
+        """Return the bytes of the packets of a choice."""
+        return self.sizes[choice] if choice in self.sizes else video_bytes(self.packets(choice))
 
     def choice_within(
         self, budget_bytes: float, like: VideoChoice | None = None, max_trials: int = MAX_TRIALS
@@ -184,11 +195,13 @@ class ColorVideoWriter:
         low, high = MIN_CRF, MAX_SCALED_CRF if like.scale else MAX_COARSENESS
         coarseness, sizes = min(like.coarseness, high), dict[float, int]()
         for _ in range(max_trials):
-            size = sizes[coarseness] = video_bytes(self.packets(like._replace(coarseness=coarseness)))
+            size = sizes[coarseness] = self.size(like._replace(coarseness=coarseness))
             low, high = (coarseness, high) if size > budget_bytes else (low, coarseness)
             if CLOSE * budget_bytes < size <= budget_bytes or high - low <= 1 / QUARTERS:
                 break
             coarseness = _next_coarseness(sizes, budget_bytes, low, high)
+            if coarseness in sizes:
+                coarseness = round(QUARTERS * (low + high) / 2) / QUARTERS
             if coarseness in sizes:
                 break
         fitting = [each for each, size in sizes.items() if size <= budget_bytes]
@@ -204,31 +217,15 @@ class ColorVideoWriter:
                     yield sensor, own
 
     def _run(self, sensor: int, frames: list[int]) -> _Run:
-        if self._scene.info.gray:
+        if self._scene.info.each_sensor[sensor].gray:
             return _Run(sensor, frames, 0)
         return _Run(sensor, frames, min(spare_magnification(self._frames[frame].color) for frame in frames))
 
-    def _packets(self, run: _Run, choice: VideoChoice) -> Iterator[Packet]:
-        """Yield the packets of a run, which is parted if one could exceed what a payload may hold."""
-        camera, part = self._scene.info.rigs[run.sensor].color, len(run.frames)
-        if choice.exact or choice.full_chroma:
-            part = max(1, MAX_FINE_RUN_PIXELS // (camera.width * camera.height))
-        for first in range(0, len(run.frames), part):
-            some = replace(run, frames=run.frames[first : first + part])
-            yield self._exact_packet(some) if choice.exact else self._packet(some, choice)
-
-    def _packet(self, run: _Run, choice: VideoChoice) -> Packet:
-        camera, config = self._scene.info.rigs[run.sensor].color, self._scene.config
+    def _packet(self, choice: VideoChoice, run: _Run) -> Packet:
+        sensor, config = self._scene.info.each_sensor[run.sensor], self._scene.config
+        camera = sensor.rig.color
         coding = choice.coding
         columns, rows = (_scaled(side, coding.scale) for side in (camera.width, camera.height))
-        video = VideoFormat(
-            width=columns,
-            height=rows,
-            bits=BITS,
-            magnified=run.magnified,
-            gray=self._scene.info.gray,
-            full_chroma=choice.full_chroma,
-        )
         settings = Av1Settings(crf=coding.crf, preset=config.video.preset, threads=config.threads)
         header = ColorVideoHeader(
             frame=run.frames[0],
@@ -240,11 +237,13 @@ class ColorVideoWriter:
             bits=BITS,
             magnified=run.magnified,
         )
+        video = video_format(header, gray=sensor.gray)
         return header.packet(encode_color(self._planes(run.frames, video), video, settings), critical=False)
 
     def _exact_packet(self, run: _Run) -> Packet:
         """Return the packet of a lossless video: of the JPEG files that all pictures came in, or else of FFV1."""
-        camera, gray = self._scene.info.rigs[run.sensor].color, self._scene.info.gray
+        sensor = self._scene.info.each_sensor[run.sensor]
+        camera, gray = sensor.rig.color, sensor.gray
         video = VideoFormat(width=camera.width, height=camera.height, bits=EXACT_BITS, gray=gray)
         frames = (self._frames[number] for number in run.frames)
         files = encode_jpeg_files(((frame.color_file, frame.color) for frame in frames), video)
@@ -277,7 +276,7 @@ def _scaled(side: int, scale: float) -> int:
 
 def _next_coarseness(sizes: dict[float, int], budget_bytes: float, low: float, high: float) -> float:
     """Return where the bytes may be a little less than they may, between two bounds: by the two nearest trials."""
-    aim = log2(budget_bytes * (1 + CLOSE) / 2)
+    aim = log2(max(budget_bytes, 1.0) * (1 + CLOSE) / 2)
     nearest = sorted(sizes, key=lambda each: abs(log2(sizes[each]) - aim))[:2]
     slope = -1 / HALVING
     if len(nearest) == 2 and sizes[nearest[0]] != sizes[nearest[1]]:

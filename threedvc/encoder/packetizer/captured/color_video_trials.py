@@ -17,7 +17,6 @@ from threedvc.encoder.packetizer.captured.color_video import (
     SCALES,
     ColorVideoWriter,
     VideoChoice,
-    video_bytes,
 )
 from threedvc.encoder.rate.objective import MIN_SLOPE, ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
@@ -26,7 +25,7 @@ from threedvc.metrics.picture_quality import psnr
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.packets import Packet
 
-__all__ = ["MAX_CHROMA_SHARE", "ColorVideoTrials"]
+__all__ = ["DB_PER_COARSENESS", "MAX_CHROMA_SHARE", "ColorVideoTrials"]
 
 SAMPLED_FRAMES = 40
 """Frames whose error is measured, spread over the sequence: as many as of a finished stream."""
@@ -91,9 +90,11 @@ class ColorVideoTrials:
         """Return the best choice of at most so many bytes that a few trials find, or the coarsest there is."""
         choice = self._best_scale(self.writer.choice_within(budget_bytes), budget_bytes)
         if self._wants_full_chroma(choice):
-            choice = self.writer.choice_within(budget_bytes, choice._replace(full_chroma=True, scale=0.0))
-        if choice.coarseness == MIN_CRF and self._size(choice) < ENOUGH * budget_bytes:
-            return EXACT if self._size(EXACT) <= budget_bytes else choice
+            full = self.writer.choice_within(budget_bytes, choice._replace(full_chroma=True, scale=0.0))
+            fits = self.writer.size(full) <= budget_bytes
+            choice = full if fits and self._errors(full).logarithm < self._errors(choice).logarithm else choice
+        if choice.coarseness == MIN_CRF and self.writer.size(choice) < ENOUGH * budget_bytes:
+            return EXACT if self.writer.size(EXACT) <= budget_bytes else choice
         return choice
 
     def _best_scale(self, choice: VideoChoice, budget_bytes: float) -> VideoChoice:
@@ -101,11 +102,16 @@ class ColorVideoTrials:
 
         Smaller ones are tried, too, where sizes leap over a part of the bytes.
         """
+        if choice.coarseness == MIN_CRF:
+            return choice
         larger = [scale for scale in SCALES if scale > choice.coding.scale]
         smaller = [scale for scale in SCALES if scale < choice.coding.scale][-1:]
-        for scale in [*(smaller if self._size(choice) < ENOUGH * budget_bytes else []), *larger]:
+        for scale in [*(smaller if self.writer.size(choice) < ENOUGH * budget_bytes else []), *larger]:
             other = self.writer.choice_within(budget_bytes, VideoChoice(COARSE_CRF, scale=scale))
-            if self._size(other) <= budget_bytes and self._errors(other).logarithm < self._errors(choice).logarithm:
+            if (
+                self.writer.size(other) <= budget_bytes
+                and self._errors(other).logarithm < self._errors(choice).logarithm
+            ):
                 choice = other
             elif scale in larger:
                 break
@@ -124,7 +130,7 @@ class ColorVideoTrials:
         return choice if psnr_db >= asked_db else self._coarsest(choice, asked_db)
 
     def _coarsest(self, choice: VideoChoice, asked_db: float) -> VideoChoice:
-        """Return the coarsest choice of a few, the first of which is given, that has a PSNR; if none has, the finest."""
+        """Return the coarsest choice of a few, of which the first is given, that has a PSNR; else the finest."""
         fine, too_coarse = MIN_CRF, MAX_COARSENESS
         coarseness, slope = choice.coarseness, DB_PER_COARSENESS
         before: tuple[float, float] | None = None
@@ -148,16 +154,16 @@ class ColorVideoTrials:
         `budget_bytes` is what the stream may take, or None: the video has the quality asked for.
         """
         if self._scene.config.video.lossless:
-            return ColorCost.of_slope(float(self._size(EXACT)), MIN_SLOPE, fixed=False)
+            return ColorCost.of_slope(float(self.writer.size(EXACT)), MIN_SLOPE, fixed=False)
         asked = self.of_quality() if budget_bytes is None else self._likely(LIKELY_SHARE * budget_bytes)
         tried = (asked, asked.coarser)
-        sizes = [float(self._size(each)) for each in tried]
+        sizes = [float(self.writer.size(each)) for each in tried]
         errors = [self._errors(each).logarithm for each in tried]
         if budget_bytes is None:
             return ColorCost(sizes, errors)
         order = sorted(range(len(tried)), key=sizes.__getitem__)
         coarsest = VideoChoice(MAX_COARSENESS)
-        least = self._size(coarsest) if coarsest in self.writer.coded else 0
+        least = self.writer.sizes.get(coarsest, 0)
         return ColorCost([sizes[k] for k in order], [errors[k] for k in order], budget_bytes, least)
 
     def _likely(self, budget_bytes: float) -> VideoChoice:
@@ -165,11 +171,8 @@ class ColorVideoTrials:
         found = self.within(budget_bytes)
         if found.exact:
             return self.writer.choice_within(budget_bytes)
-        alike = [each for each in self.writer.coded if each[1:] == found[1:] and not each.exact]
-        return min(alike, key=lambda each: abs(np.log(self._size(each) / budget_bytes)))
-
-    def _size(self, choice: VideoChoice) -> int:
-        return video_bytes(self.writer.packets(choice))
+        alike = [each for each in self.writer.sizes if each[1:] == found[1:] and not each.exact]
+        return min(alike, key=lambda each: abs(np.log(self.writer.size(each) / budget_bytes)))
 
     def _wants_full_chroma(self, choice: VideoChoice) -> bool:
         """Tell whether halving chroma takes so much of the error of a choice that full chroma is better."""
@@ -206,7 +209,7 @@ class ColorVideoTrials:
         camera = scene.info.rigs[header.sensor].color
         own = [number for number in range(len(self._frames)) if scene.records[number].sensor == header.sensor]
         first = own.index(header.frame)
-        video = video_format(header, gray=scene.info.gray)
+        video = video_format(header, gray=scene.info.each_sensor[header.sensor].gray)
         pictures = decode_color(packet.payload, header.count, video)
         for number, planes in zip(own[first : first + header.count], pictures, strict=True):
             if number % every == 0:

@@ -10,16 +10,13 @@ import numpy as np
 
 from threedvc.coding.video.color_runs import decode_color, halving_error, video_format
 from threedvc.coding.video.planes import picture_of
-from threedvc.config.stages import MAX_COARSENESS
-from threedvc.encoder.packetizer.captured.color_video import (
-    ColorVideoWriter,
-    FrameSource,
-    VideoChoice,
-    video_bytes,
-)
-from threedvc.encoder.packetizer.captured.color_video_trials import MAX_CHROMA_SHARE
+from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
+from threedvc.encoder.packetizer.batch_budget import packed_bytes
+from threedvc.encoder.packetizer.captured.color_video import QUARTERS, ColorVideoWriter, FrameSource, VideoChoice
+from threedvc.encoder.packetizer.captured.color_video_trials import DB_PER_COARSENESS, MAX_CHROMA_SHARE
 from threedvc.encoder.packetizer.scene_source import BatchFrames
 from threedvc.frames.frame import Frame
+from threedvc.metrics.picture_quality import psnr
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.packets import Packet
 
@@ -31,7 +28,9 @@ take it gets, too. Measured on the kitchen at 48 kbit/s, see decision 0035."""
 AIM = 0.95
 """Share of its bytes that a video aims at: sizes of the next pictures are guessed by those of the last."""
 MAX_TRIALS = 3
-"""Videos of a batch that are coded at most: frames do not wait."""
+"""Videos of a batch that are coded on the way to its bytes; frames do not wait. If none fits, the coarsest is coded."""
+COARSEST = VideoChoice(MAX_COARSENESS)
+"""What is sent where hardly anything fits."""
 
 
 class LiveColorVideo:
@@ -47,6 +46,7 @@ class LiveColorVideo:
         self._scene = scene
         self._frames: dict[int, Frame] = {}
         self._choice = VideoChoice(scene.config.video.coarseness)
+        self._least_bytes: int | None = None
 
     def keep(self, frames: Iterable[Frame]) -> None:
         """Keep frames until their batch is sent."""
@@ -54,46 +54,62 @@ class LiveColorVideo:
 
     def fits(self, batch: BatchFrames, budget_bytes: float) -> bool:
         """Tell whether the coarsest video of a batch leaves models their share of a budget."""
-        if isinf(budget_bytes):
-            return True
-        coarsest = self._writer(batch).packets(VideoChoice(MAX_COARSENESS))
-        return video_bytes(coarsest) <= LIVE_VIDEO_SHARE * budget_bytes
+        return isinf(budget_bytes) or self._least(self._writer(batch)) <= LIVE_VIDEO_SHARE * budget_bytes
 
     def packets(self, batch: BatchFrames, budget_bytes: float) -> list[Packet]:
         """Return the COLOR_VIDEO packets of a batch of at most so many bytes, none if that is not enough.
 
-        Its frames are forgotten.
+        As many bytes as the coarsest video of a batch takes are left over if they can be: the next batch may be the
+        last, and short, and no frame shall be without a picture. The frames of the batch are forgotten.
         """
         writer = self._writer(batch)
-        if not isinf(budget_bytes):
-            self._choice = self._within(writer, budget_bytes)
-        packets = writer.packets(self._choice)
-        if video_bytes(packets) > budget_bytes:
-            packets = []
-        for packet in packets[:1]:
-            self._choice = self._choice._replace(full_chroma=self._wants_full_chroma(packet))
+        packets: list[Packet] = []
+        if isinf(budget_bytes):
+            packets = writer.packets(self._choice)
+        elif budget_bytes > 0:
+            packets = self._within(writer, budget_bytes)
+        if packets:
+            self._learn(packets[0], coarser=isinf(budget_bytes))
         for number in range(batch.first, batch.stop):
             self._frames.pop(number, None)
         return packets
 
-    def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> VideoChoice:
-        choice = writer.choice_within(AIM * budget_bytes, self._choice, MAX_TRIALS)
-        fits = video_bytes(writer.packets(choice)) <= budget_bytes
-        return choice if fits else VideoChoice(MAX_COARSENESS)
+    def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> list[Packet]:
+        spare = budget_bytes - self._least(writer)
+        if spare > 0:
+            choice = writer.choice_within(AIM * spare, self._choice, MAX_TRIALS)
+            packets = writer.packets(choice)
+            if packed_bytes(packets) <= budget_bytes:
+                self._choice = choice
+                return packets
+        packets = writer.packets(COARSEST)
+        return packets if packed_bytes(packets) <= budget_bytes else []
 
-    def _wants_full_chroma(self, packet: Packet) -> bool:
-        """Tell by the first picture of a video whether halving chroma takes, or would take, most of its error."""
+    def _least(self, writer: ColorVideoWriter) -> int:
+        """Return what the coarsest video takes, of the first batch that it was asked of."""
+        if self._least_bytes is None:
+            self._least_bytes = packed_bytes(writer.packets(COARSEST))
+        return self._least_bytes
+
+    def _learn(self, packet: Packet, *, coarser: bool) -> None:
+        """Choose chroma for the next batch by the first picture of a video, and without a rate the coarseness."""
         header, config = ColorVideoHeader.from_map(packet.header), self._scene.config
-        picture = self._frames[header.frame].color
+        sensor, picture = self._scene.info.each_sensor[header.sensor], self._frames[header.frame].color
         height, width, _ = picture.shape
-        video = video_format(header, gray=self._scene.info.gray)
-        if video.gray or (video.width, video.height) != (width, height):
-            return False
+        video = video_format(header, gray=sensor.gray)
         planes = next(decode_color(packet.payload, header.count, video))
         shown = picture_of(planes, video, width, height, config.threads)
-        halved = halving_error(picture, config.threads)
-        error = float(np.square(shown.astype(np.float32) - picture).mean())
-        return halved > MAX_CHROMA_SHARE * (error + halved * video.full_chroma)
+        full = False
+        if not video.gray and (video.width, video.height) == (width, height):
+            halved = halving_error(picture, config.threads)
+            error = float(np.square(shown.astype(np.float32) - picture).mean())
+            full = halved > MAX_CHROMA_SHARE * (error + halved * video.full_chroma)
+        coarseness = self._choice.coarseness
+        if coarser:
+            spare = (psnr(picture, shown) - config.video.min_psnr_db) / DB_PER_COARSENESS
+            aim = min(coarseness + spare, config.video.coarseness)
+            coarseness = float(np.clip(np.floor(QUARTERS * aim) / QUARTERS, MIN_CRF, MAX_COARSENESS))
+        self._choice = VideoChoice(coarseness, full)
 
     def _writer(self, batch: BatchFrames) -> ColorVideoWriter:
         return ColorVideoWriter(self._scene, dict(self._frames), [range(batch.first, batch.stop)])

@@ -25,6 +25,7 @@ class SizedVideo(ColorVideoWriter):
 
     def __init__(self, finest_bytes: float, halving: float) -> None:
         self.trials: list[float] = []
+        self.sizes: dict[VideoChoice, int] = {}
         self._finest, self._halving = finest_bytes, halving
 
     def packets(self, choice: VideoChoice) -> list[Packet]:

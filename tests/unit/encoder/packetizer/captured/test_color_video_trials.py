@@ -12,13 +12,15 @@ import pytest
 from helpers.nonrigid_scene import nonrigid_sequence
 from helpers.streams import ListSequence
 from threedvc.coding.video.av1 import can_encode_av1
-from threedvc.config import ColorVideo, EncoderConfig, VideoConfig
+from threedvc.config import ColorVideo, EncoderConfig, VideoConfig, with_quality
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.packetizer.captured import color_video
 from threedvc.encoder.packetizer.captured.color_video import EXACT, VideoChoice, video_bytes
 from threedvc.encoder.packetizer.captured.color_video_trials import ColorVideoTrials
+from threedvc.encoder.pipeline.stream_builder import batch_length
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
+from threedvc.geometry.camera import Camera, CameraRig
 from threedvc.stream.captured_headers import ColorVideoHeader
 from threedvc.stream.packets import VideoCodec
 
@@ -126,10 +128,23 @@ def test_a_rate_that_no_loss_fits_into_has_none(frames: FrameSequence) -> None:
     assert not found.within(0.5 * size(found, EXACT)).exact
 
 
-def test_long_runs_of_much_data_are_parted(frames: FrameSequence, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(color_video, "MAX_FINE_RUN_PIXELS", 3 * 64 * 48)
-    found = trials(frames)
-    for choice in (EXACT, VideoChoice(40, full_chroma=True)):
-        headers = [ColorVideoHeader.from_map(packet.header) for packet in found.writer.packets(choice)]
-        assert [(header.frame, header.count) for header in headers] == [(0, 3), (3, 1)]
-    assert len(found.writer.packets(VideoChoice(40))) == 1
+def test_only_the_last_choices_are_kept(frames: FrameSequence) -> None:
+    writer = trials(frames).writer
+    sizes = [writer.size(VideoChoice(float(coarseness))) for coarseness in range(50, 60)]
+    assert len(writer.coded) == color_video.MAX_KEPT
+    assert sizes == [writer.size(VideoChoice(float(coarseness))) for coarseness in range(50, 60)]
+
+
+@pytest.mark.parametrize(
+    ("config", "most"),
+    [
+        (EncoderConfig(), 300),
+        (with_quality(EncoderConfig(), 95), (1 << 25) // (640 * 480)),
+        (EncoderConfig(bitrate_bps=20e6), 300),
+        (EncoderConfig(bitrate_bps=100e6), 80),
+    ],
+)
+def test_batches_of_much_data_are_short(frames: FrameSequence, config: EncoderConfig, most: int) -> None:
+    camera = Camera(width=640, height=480, fx=500.0, fy=500.0, cx=320.0, cy=240.0)
+    info = replace(frames.info, rig=CameraRig.registered_to(camera), fps=30.0)
+    assert batch_length(info, config, video=True) == most
