@@ -43,6 +43,9 @@ CLOSE_DB = 0.15
 """Beyond a PSNR that was asked for this is close enough: a quarter of coarseness is about a tenth."""
 COARSE_CRF = 61.0
 """Quantization with which larger pictures are tried first."""
+SPARE_DB = 1.5
+"""Beyond the least PSNR of a quality pictures with full chroma have no more: as coarse as halved ones they would
+have up to 9 dB more, in three times the bytes."""
 MAX_STEPS = 8
 """Trials on the way to a PSNR; three are the rule."""
 PEAK = 255.0
@@ -122,12 +125,16 @@ class ColorVideoTrials:
         video = self._scene.config.video
         if video.lossless:
             return EXACT
-        choice = VideoChoice(video.coarseness)
+        choice, least_db = VideoChoice(video.coarseness), video.min_psnr_db
         psnr_db = self._errors(choice).psnr_db
-        asked_db = max(psnr_db, video.min_psnr_db)
-        if (psnr_db < asked_db or choice.coding.scale == 1) and self._halving_costs(_square(asked_db)):
-            return self._coarsest(choice._replace(full_chroma=True), asked_db)
-        return choice if psnr_db >= asked_db else self._coarsest(choice, asked_db)
+        may_be_full = psnr_db < least_db or choice.coding.scale == 1
+        if not (may_be_full and self._halving_costs(_square(max(psnr_db, least_db)))):
+            return choice if psnr_db >= least_db else self._coarsest(choice, least_db)
+        choice = choice._replace(full_chroma=True)
+        spare_db = self._errors(choice).psnr_db - least_db
+        if 0 <= spare_db <= SPARE_DB or not least_db:
+            return choice
+        return self._coarsest(choice, least_db + (SPARE_DB if spare_db > 0 else 0.0))
 
     def _coarsest(self, choice: VideoChoice, asked_db: float) -> VideoChoice:
         """Return the coarsest choice of a few, of which the first is given, that has a PSNR; else the finest."""
