@@ -18,6 +18,8 @@ from threedvc.config import ColorVideo, EncoderConfig, Motion, VideoConfig
 from threedvc.decoder.replay import replay
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.formats.container import open_output
+from threedvc.frames.multi_sensor import MergedSequence
+from threedvc.geometry.pose import identity
 from threedvc.metrics.picture_quality import psnr
 from threedvc.stream.batch import unpack_batch
 from threedvc.stream.captured_headers import ColorVideoHeader
@@ -115,3 +117,11 @@ def test_where_a_video_does_not_fit_it_is_left_out() -> None:
     stream = packets(replace(LIVE, bitrate_bps=8e3, color_video=ColorVideo.ON))
     assert not all(members(stream, PacketType.COLOR_VIDEO))
     assert members(stream, PacketType.MODEL)[0]
+
+
+def test_frames_of_one_moment_stay_in_one_batch() -> None:
+    merged = MergedSequence([sequence(), sequence()], [identity()])
+    config = replace(LIVE, batch_frames=5, color_video=ColorVideo.OFF)
+    stream = list(Encoder(merged.info, config).packets(iter(merged)))
+    counts = [packet.header["n"] for packet in stream if packet.type == PacketType.BATCH]
+    assert counts == [6, 6, 6, 6, 4]
