@@ -19,7 +19,7 @@ from helpers.packet_changes import members_of, with_changed, written
 from helpers.streams import ListSequence
 from threedvc.cli.main import main
 from threedvc.coding.video.av1 import can_encode_av1
-from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion, RenderConfig, VideoConfig
+from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion, RenderConfig, VideoConfig, with_lossless
 from threedvc.decoder import packet_handlers
 from threedvc.decoder.decoder import Decoder
 from threedvc.decoder.verification import verified
@@ -232,6 +232,17 @@ def test_every_sensor_has_a_video_of_its_own(sequence: SyntheticSequence, tmp_pa
     for sensor, filmed in enumerate((sequence, frames)):
         for got, frame in zip(colors(path, sensor=sensor), filmed, strict=True):
             assert np.square(luma(got) - luma(frame.color)).mean() < 20
+
+
+@pytest.mark.parametrize("config", [with_lossless(CONFIG), replace(CONFIG, bitrate_bps=5e6)], ids=["lossless", "rate"])
+def test_a_gray_sensor_beside_one_in_color_comes_back(
+    sequence: SyntheticSequence, tmp_path: Path, config: EncoderConfig
+) -> None:
+    gray = [replace(frame, color=np.repeat(frame.color[..., 1:2], 3, axis=2)) for frame in sequence]
+    merged = MergedSequence([sequence, ListSequence(gray, replace(sequence.info, gray=True))], [identity()])
+    path = written(list(Encoder(merged.info, config).packets(merged)), tmp_path / "gray.3dvc")
+    for sensor, filmed in enumerate((sequence, gray)):
+        np.testing.assert_array_equal(colors(path, sensor=sensor), [frame.color for frame in filmed])
 
 
 def test_depth_that_bends_has_a_video_too(tmp_path: Path) -> None:
