@@ -23,7 +23,7 @@ from threedvc.encoder.packetizer.sent_state import SentObject
 from threedvc.encoder.rate.model_updates import first_visible_update, incremental_update
 from threedvc.encoder.rate.region_of_interest import object_weight, with_roi_weights, with_steps_scaled
 from threedvc.encoder.rate.trial_coding import color_settings
-from threedvc.encoder.rate.update_priority import select_within
+from threedvc.encoder.rate.update_priority import select_within, sight_weights
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 from threedvc.stream.framing_sizes import MAX_MEMBER_FRAMING_BYTES
@@ -138,7 +138,7 @@ class ModelPackets:
         update = self._due(sent, None if last else batch.stop)
         if update.size < (MIN_LIVE_CELLS if self._config.causal and not last else 1):
             return
-        update, payload, decoded = self._encode_within(update, sent, budget_bytes - MAX_MEMBER_FRAMING_BYTES)
+        update, payload, decoded = self._encode_within(update, sent, batch, budget_bytes - MAX_MEMBER_FRAMING_BYTES)
         if update.empty:
             return
         sent.model.apply(decoded)
@@ -170,7 +170,7 @@ class ModelPackets:
         return surface
 
     def _encode_within(
-        self, update: ModelUpdate, sent: SentObject, budget_bytes: float
+        self, update: ModelUpdate, sent: SentObject, batch: BatchFrames, budget_bytes: float
     ) -> tuple[ModelUpdate, bytes, ModelUpdate]:
         """Encode as much of an update as a budget allows, what gains most information per bit first; the rest waits.
 
@@ -180,7 +180,8 @@ class ModelPackets:
         while len(payload) > budget_bytes and not update.empty:
             share = BUDGET_SHARE * budget_bytes / len(payload)
             item = self._scene.objects[sent.number]
-            update = select_within(update, item.evidence, sent.unquantized, share, item.in_sight, colored=self._colored)
+            sight = sight_weights(item.evidence, item.in_sight, item.poses[batch.stop - 1])
+            update = select_within(update, item.evidence, sent.unquantized, share, sight, colored=self._colored)
             payload, decoded = self._encode(update, sent)
         return update, payload, decoded
 

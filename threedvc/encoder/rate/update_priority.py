@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from threedvc.config import FusionConfig
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import UNKNOWN_BITS, channel_bits, cross_entropy_bits
+from threedvc.geometry.pose import Pose
 from threedvc.metrics.entropy import bernoulli_entropy_bits
-from threedvc.model.block_index import BLOCK_CELLS
+from threedvc.model.block_index import BLOCK_CELLS, BLOCK_SIDE
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
-__all__ = ["bits_taken", "information_gain_bits", "select_within"]
+__all__ = ["bits_taken", "information_gain_bits", "select_within", "sight_weights"]
 
 CHANNELS = 3
 """Colors are red, green and blue."""
@@ -31,6 +32,9 @@ SURE_LOG_ODDS = FusionConfig().max_log_odds
 """A receiver believes what it draws as surely as evidence can tell."""
 OUT_OF_SIGHT = 0.1
 """How much a bit counts that the present picture does not show; by hand: it may come into view again."""
+MAX_NEARNESS = 9.0
+"""How much more or less a bit counts at most than at the median distance: as at a third of it, or at three times; by
+hand."""
 BLOCK_BITS, ADDED_BITS = 40.0, 2.0
 REMOVED_BITS, RECOLORED_BITS = 6.0, 5.5
 """About what a block with new cells takes, and each cell: by hand, after fits to parts of updates of recorded rooms."""
@@ -97,12 +101,32 @@ def bits_taken(update: ModelUpdate, member: NDArray[np.int64], blocks: int) -> N
     )
 
 
+def sight_weights(model: EvidenceModel, in_sight: NDArray[np.bool_], T_camera_object: Pose) -> NDArray[np.float64]:
+    """Return how much a bit of each block (blocks,) counts: as many pixels as it covers, those out of sight little.
+
+    Parameters
+    ----------
+    model
+        The evidence.
+    in_sight
+        (blocks,) which of them were in the field of view lately.
+    T_camera_object
+        Where the camera is now.
+    """
+    centers = (model.index.coords[: len(in_sight)] + 0.5) * BLOCK_SIDE * model.voxel_size_m
+    depth = centers @ T_camera_object[2, :3] + T_camera_object[2, 3]
+    ahead = in_sight & (depth > 0)
+    middle = float(np.median(depth[ahead])) if ahead.any() else 1.0
+    nearness = np.clip((middle / np.where(depth > 0, depth, np.inf)) ** 2, 1 / MAX_NEARNESS, MAX_NEARNESS)
+    return np.where(in_sight, nearness, OUT_OF_SIGHT)
+
+
 def select_within(
     update: ModelUpdate,
     model: EvidenceModel,
     sent: DecodedModel,
     share: float,
-    in_sight: NDArray[np.bool_],
+    sight: NDArray[np.float64],
     *,
     colored: bool = True,
 ) -> ModelUpdate:
@@ -118,15 +142,15 @@ def select_within(
         What the receiver has.
     share
         How much of the update's coded size may be taken; blocks of 8x8x8 cells are taken whole.
-    in_sight
-        (blocks of the evidence,) which blocks were in the field of view lately.
+    sight
+        (blocks of the evidence,) how much the bits of each count, see `sight_weights`.
     colored
         Whether cells have colors.
     """
     positions = model.index.locate(_cells(update))
     numbers, member = np.unique(positions // BLOCK_CELLS, return_inverse=True)
-    gained = np.bincount(member, information_gain_bits(update, model, sent, colored=colored), minlength=len(numbers))
-    gained *= np.where(in_sight[numbers], 1.0, OUT_OF_SIGHT)
+    bits = information_gain_bits(update, model, sent, colored=colored)
+    gained = np.bincount(member, bits, minlength=len(numbers)) * sight[numbers]
     cost = bits_taken(update, member, len(numbers))
     order = np.argsort(-gained / cost, kind="stable")
     chosen = np.zeros(len(numbers), dtype=bool)

@@ -9,13 +9,21 @@ from numpy.typing import NDArray
 
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.model_entropy import LOOK_SPREAD, LOOK_WEIGHT, EntropyMeter
-from threedvc.encoder.rate.update_priority import bits_taken, information_gain_bits, select_within
+from threedvc.encoder.rate.update_priority import (
+    MAX_NEARNESS,
+    OUT_OF_SIGHT,
+    bits_taken,
+    information_gain_bits,
+    select_within,
+    sight_weights,
+)
+from threedvc.geometry.pose import make_pose
 from threedvc.model.block_index import BLOCK_SIDE, morton_keys
 from threedvc.model.decoded_model import DecodedModel
 from threedvc.model.model_update import ModelUpdate
 
 BLOCKS = 6
-IN_SIGHT = np.ones(BLOCKS, dtype=bool)
+IN_SIGHT = np.ones(BLOCKS)
 NONE = np.empty((0, 3), dtype=np.int32)
 NO_COLORS = np.empty((0, 3), dtype=np.int16)
 
@@ -140,12 +148,26 @@ def test_new_surface_comes_before_wrong_colors_and_these_before_slightly_wrong_o
 
 def test_what_is_in_sight_comes_first() -> None:
     update = update_of(np.concatenate([block_cells(0, 40), block_cells(1, 30)]))
-    behind = np.arange(BLOCKS) > 0
+    behind = np.where(np.arange(BLOCKS) > 0, 1, OUT_OF_SIGHT)
     model = evidence()
     plain = select_within(update, model, DecodedModel(0.01), 0.6, IN_SIGHT)
     seen = select_within(update, model, DecodedModel(0.01), 0.6, behind)
     assert set((plain.added[:, 0] // BLOCK_SIDE).tolist()) == {0}
     assert set((seen.added[:, 0] // BLOCK_SIDE).tolist()) == {1}
+
+
+def test_near_blocks_count_by_the_pixels_that_they_cover() -> None:
+    model = EvidenceModel(0.01)
+    model.index.insert(np.array([[0, 0, z] for z in (0, 1, 2, 5, 60, 200)], dtype=np.int32))
+    in_sight = np.array([True, True, True, True, False, True])
+    weights = sight_weights(model, in_sight, make_pose(np.eye(3), np.array([0, 0, 0.96])))
+    depths = 0.96 + 0.08 * (np.array([0, 1, 2, 5, 60, 200]) + 0.5)
+    middle = np.median(depths[in_sight])
+    np.testing.assert_allclose(weights[:4], (middle / depths[:4]) ** 2)
+    assert weights[4] == OUT_OF_SIGHT
+    assert weights[5] == 1 / MAX_NEARNESS
+    behind = sight_weights(model, in_sight, make_pose(np.eye(3), np.array([0, 0, -100.0])))
+    assert behind[0] == 1 / MAX_NEARNESS
 
 
 def test_a_part_keeps_what_belongs_to_its_cells(rng: np.random.Generator) -> None:

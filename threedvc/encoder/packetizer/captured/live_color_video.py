@@ -46,7 +46,6 @@ class LiveColorVideo:
         self._scene = scene
         self._frames: dict[int, Frame] = {}
         self._choice = VideoChoice(scene.config.video.coarseness)
-        self._least_bytes: int | None = None
 
     def keep(self, frames: Iterable[Frame]) -> None:
         """Keep frames until their batch is sent."""
@@ -54,13 +53,14 @@ class LiveColorVideo:
 
     def fits(self, batch: BatchFrames, budget_bytes: float) -> bool:
         """Tell whether the coarsest video of a batch leaves models their share of a budget."""
-        return isinf(budget_bytes) or self._least(self._writer(batch)) <= LIVE_VIDEO_SHARE * budget_bytes
+        if isinf(budget_bytes):
+            return True
+        return packed_bytes(self._writer(batch).packets(COARSEST)) <= LIVE_VIDEO_SHARE * budget_bytes
 
     def packets(self, batch: BatchFrames, budget_bytes: float) -> list[Packet]:
         """Return the COLOR_VIDEO packets of a batch of at most so many bytes, none if that is not enough.
 
-        As many bytes as the coarsest video of a batch takes are left over if they can be: the next batch may be the
-        last, and short, and no frame shall be without a picture. The frames of the batch are forgotten.
+        The frames of the batch are forgotten.
         """
         writer = self._writer(batch)
         packets: list[Packet] = []
@@ -75,21 +75,12 @@ class LiveColorVideo:
         return packets
 
     def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> list[Packet]:
-        spare = budget_bytes - self._least(writer)
-        if spare > 0:
-            choice = writer.choice_within(AIM * spare, self._choice, MAX_TRIALS)
+        self._choice = writer.choice_within(AIM * budget_bytes, self._choice, MAX_TRIALS)
+        for choice in (self._choice, COARSEST):
             packets = writer.packets(choice)
             if packed_bytes(packets) <= budget_bytes:
-                self._choice = choice
                 return packets
-        packets = writer.packets(COARSEST)
-        return packets if packed_bytes(packets) <= budget_bytes else []
-
-    def _least(self, writer: ColorVideoWriter) -> int:
-        """Return what the coarsest video takes, of the first batch that it was asked of."""
-        if self._least_bytes is None:
-            self._least_bytes = packed_bytes(writer.packets(COARSEST))
-        return self._least_bytes
+        return []
 
     def _learn(self, packet: Packet, *, coarser: bool) -> None:
         """Choose chroma for the next batch by the first picture of a video, and without a rate the coarseness."""
