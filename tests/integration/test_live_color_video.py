@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -104,7 +103,6 @@ def test_batches_keep_to_their_rate(rate: float) -> None:
     sizes = [len(packet.payload) for packet in stream if packet.type == PacketType.BATCH]
     allowed = [rate / 8 * (1 + stop / fps) for stop in (6, 12, 14)]
     assert all(sum(sizes[: k + 1]) <= allowed[k] for k in range(3))
-    assert all(before > 0 for before, _ in pairwise(sizes))
 
 
 def test_a_rate_too_low_for_a_video_leaves_the_models_their_colors() -> None:
