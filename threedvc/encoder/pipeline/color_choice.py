@@ -27,7 +27,6 @@ from threedvc.encoder.pipeline.stream_builder import StreamBuilder, StreamChoice
 from threedvc.encoder.rate.objective import objective
 from threedvc.encoder.rate.rate_control import stream_bytes
 from threedvc.stream.batch import unpack_batch
-from threedvc.stream.captured_headers import DepthVideoHeader
 from threedvc.stream.packets import Packet, PacketType
 
 __all__ = ["FileStream", "file_stream"]
@@ -88,16 +87,10 @@ def _with_video(found: Reconstruction, fusion: FusionPass) -> tuple[FileStream, 
         return objective(others, misfit, found.config.depth_weight)
 
     fine = stream(improve_geometry(found, fusion, cost))
-    if not _shows_all_depth(fine.packets) or not may_be_coarse(found):
+    if not may_be_coarse(found):
         return fine, fine.state
     coarse = stream(with_coarse_cells(fine.state, found.config.appearance.relief_bits, fusion))
     return coarse if error(coarse) < error(fine) - MIN_GAIN else fine, fine.state
-
-
-def _shows_all_depth(packets: Sequence[Packet]) -> bool:
-    """Tell whether videos show depth, and do so everywhere."""
-    videos = _members(packets, PacketType.DEPTH_VIDEO)
-    return bool(videos) and not any(DepthVideoHeader.from_map(packet.header).tiles for packet in videos)
 
 
 def _members(packets: Sequence[Packet], kind: PacketType) -> list[Packet]:

@@ -13,6 +13,7 @@ from threedvc.coding.video.planes import picture_of
 from threedvc.config.stages import MAX_COARSENESS, MIN_CRF
 from threedvc.encoder.packetizer.captured.color_video import (
     EXACT,
+    MAX_SCALED_CRF,
     QUARTERS,
     SCALES,
     ColorVideoWriter,
@@ -37,12 +38,14 @@ worth. Geometry and poses of hand-held recordings take a tenth to a half."""
 MAX_CHROMA_SHARE = 0.35
 """Share of the squared error that halving chroma may have; beyond, full chroma is better for the bytes. Measured where
 the two are equal: .25 (fr1_rpy), .3 (two_toys), .4 (cow_turn), see decision 0034."""
+LIKELY_TRIALS = 3
+"""Videos that are coded on the way there: nothing has to fit."""
 DB_PER_COARSENESS, MIN_DB_PER_COARSENESS = 0.36, 0.05
 """By how much one of coarseness lowers PSNR, about, and at least."""
 CLOSE_DB = 0.15
 """Beyond a PSNR that was asked for this is close enough: a quarter of coarseness is about a tenth."""
-COARSE_CRF = 61.0
-"""Quantization with which larger pictures are tried first."""
+SCALE_CRF = 3.0
+"""By how much coarser the next larger scale is quantized in about as many bytes (decision 0036): a first guess."""
 SPARE_DB = 1.5
 """Beyond the least PSNR of a quality pictures with full chroma have no more: as coarse as halved ones they would
 have up to 9 dB more, in three times the bytes."""
@@ -50,6 +53,11 @@ MAX_STEPS = 8
 """Trials on the way to a PSNR; three are the rule."""
 PEAK = 255.0
 """Largest level of a channel."""
+HOPELESS = 0.15
+"""By how much the logarithm of a larger scale's error may exceed the best one and the next scale still be tried: of a
+camera at rest three quarters of the sides lose up to .7 dB where both half of them and all are good (hands_table)."""
+ALIKE = 1.3
+"""Times the bytes, or part of them, for which a scale that was found serves, too."""
 ENOUGH = 0.95
 """Share of a budget that a video takes at least; otherwise a smaller scale is tried, or one without loss may fit."""
 
@@ -88,10 +96,11 @@ class ColorVideoTrials:
         self._scene, self._frames = scene, frames
         self._measured: dict[VideoChoice, _ColorErrors] = {}
         self._halved: float | None = None
+        self._scales: list[tuple[float, VideoChoice]] = []
 
     def within(self, budget_bytes: float) -> VideoChoice:
         """Return the best choice of at most so many bytes that a few trials find, or the coarsest there is."""
-        choice = self._best_scale(self.writer.choice_within(budget_bytes), budget_bytes)
+        choice = self._scaled(budget_bytes)
         if self._wants_full_chroma(choice):
             full = self.writer.choice_within(budget_bytes, choice._replace(full_chroma=True, scale=0.0))
             fits = self.writer.size(full) <= budget_bytes
@@ -100,23 +109,35 @@ class ColorVideoTrials:
             return EXACT if self.writer.size(EXACT) <= budget_bytes else choice
         return choice
 
+    def _scaled(self, budget_bytes: float) -> VideoChoice:
+        """Return the choice of the best scale; of one found before, if that was for about as many bytes."""
+        for before, found in self._scales:
+            if 1 / ALIKE < budget_bytes / before < ALIKE:
+                choice = self.writer.choice_within(budget_bytes, found)
+                if ENOUGH * budget_bytes <= self.writer.size(choice) <= budget_bytes:
+                    return choice
+        choice = self._best_scale(self.writer.choice_within(budget_bytes), budget_bytes)
+        self._scales.append((budget_bytes, choice))
+        return choice
+
     def _best_scale(self, choice: VideoChoice, budget_bytes: float) -> VideoChoice:
-        """Return a choice of larger pictures of as many bytes while these have a smaller error: still ones may.
+        """Return a choice of larger pictures of as many bytes if these have a smaller error: still ones may.
 
         Smaller ones are tried, too, where sizes leap over a part of the bytes.
         """
         if choice.coarseness == MIN_CRF:
             return choice
-        larger = [scale for scale in SCALES if scale > choice.coding.scale]
-        smaller = [scale for scale in SCALES if scale < choice.coding.scale][-1:]
+        first = choice.coding
+        larger = [scale for scale in SCALES if scale > first.scale]
+        smaller = [scale for scale in SCALES if scale < first.scale][-1:]
         for scale in [*(smaller if self.writer.size(choice) < ENOUGH * budget_bytes else []), *larger]:
-            other = self.writer.choice_within(budget_bytes, VideoChoice(COARSE_CRF, scale=scale))
-            if (
-                self.writer.size(other) <= budget_bytes
-                and self._errors(other).logarithm < self._errors(choice).logarithm
-            ):
+            steps = SCALES.index(scale) - SCALES.index(first.scale)
+            coarseness = min(max(first.crf + SCALE_CRF * steps, MIN_CRF), MAX_SCALED_CRF)
+            other = self.writer.choice_within(budget_bytes, VideoChoice(coarseness, scale=scale))
+            worse = self._errors(other).logarithm - self._errors(choice).logarithm
+            if self.writer.size(other) <= budget_bytes and worse < 0:
                 choice = other
-            elif scale in larger:
+            elif scale in larger and worse > HOPELESS:
                 break
         return choice
 
@@ -174,12 +195,9 @@ class ColorVideoTrials:
         return ColorCost([sizes[k] for k in order], [errors[k] for k in order], budget_bytes, least)
 
     def _likely(self, budget_bytes: float) -> VideoChoice:
-        """Return the choice coded so far, like the best one, that comes nearest to so many bytes."""
-        found = self.within(budget_bytes)
-        if found.exact:
-            return self.writer.choice_within(budget_bytes)
-        alike = [each for each in self.writer.sizes if each[1:] == found[1:] and not each.exact]
-        return min(alike, key=lambda each: abs(np.log(self.writer.size(each) / budget_bytes)))
+        """Return the choice of some coded that comes nearest to so many bytes."""
+        self.writer.choice_within(budget_bytes, max_trials=LIKELY_TRIALS)
+        return min(self.writer.sizes, key=lambda each: abs(np.log(self.writer.size(each) / budget_bytes)))
 
     def _wants_full_chroma(self, choice: VideoChoice) -> bool:
         """Tell whether halving chroma takes so much of the error of a choice that full chroma is better."""

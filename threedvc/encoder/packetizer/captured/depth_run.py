@@ -74,7 +74,7 @@ class EncodedDepthRun(NamedTuple):
 
 
 def encode_depth_run(
-    filled: DepthMaps,
+    measured: DepthMaps,
     choice: PictureFormat,
     tiles: NDArray[np.bool_] | None = None,
     *,
@@ -85,8 +85,9 @@ def encode_depth_run(
 
     Parameters
     ----------
-    filled
-        What the sensor measured, and perhaps something else where it did not.
+    measured
+        What the sensor measured. Where it did not, pictures are filled smoothly from around: what models draw there has
+        edges, which flicker and take up to half of the bytes (decision 0038).
     choice
         Size and quality.
     tiles
@@ -97,16 +98,16 @@ def encode_depth_run(
     threads
         On how many; the payload does not depend on it.
     """
-    ends = [np.percentile(depth[depth > 0], [ENDS_PERCENT, 100 - ENDS_PERCENT]) for depth in filled]
+    ends = [np.percentile(depth[depth > 0], [ENDS_PERCENT, 100 - ENDS_PERCENT]) for depth in measured]
     nearest, furthest = float(min(near for near, _ in ends)), float(max(far for _, far in ends))
     ratio = float(np.clip((furthest / nearest) ** (1 / LAST), MIN_RATIO, MAX_RATIO))
     video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
     furthest = nearest * ratio**LAST
-    samples: Iterator[Samples] = (_samples(depth, choice, nearest, furthest) for depth in filled)
+    samples: Iterator[Samples] = (_samples(depth, choice, nearest, furthest) for depth in measured)
     if tiles is not None:
         samples = _still_outside(samples, tiles)
     pictures = (gray_planes(each, video) for each in samples)
-    thorough = thorough and len(filled) * choice.columns * choice.rows < MAX_THOROUGH_SAMPLES
+    thorough = thorough and len(measured) * choice.columns * choice.rows < MAX_THOROUGH_SAMPLES
     preset = THOROUGH_PRESET if thorough else QUICK_PRESET
     return EncodedDepthRun(
         nearest_m=nearest,

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import ceil, inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +44,11 @@ __all__ = ["choose_depth_video"]
 SCALES, LARGE_SCALES = (0.25, 0.375, 0.5), (0.75, 1.0)
 """Sizes that are tried, in sides of the depth map, the least first: its bytes usually tell that none is worth it. Large
 ones are tried while each gains more than the one before: high rates want them."""
-MIDDLE_CRF, CRF_STEPS = 22, (8, -7, 4, -3)
+MIDDLE_CRF, CRF_STEPS, FINE_CRF_STEPS = 22, (8, -7), (4, -3)
 """Sizes are tried with a middling quality of AV1, then the best size with coarser and finer ones while they gain,
 in large steps and then in small ones."""
+TRADED_CRF = 12
+"""By how much coarser quality is with the next larger size, which then takes about as many bytes (cereal_box)."""
 MIN_CRF, MAX_CRF = 12, 60
 """The finest quality that is tried, beyond which depth without loss takes no more bytes (fr1_rpy), and the coarsest."""
 COARSE_CRFS = 35, 48
@@ -69,6 +72,8 @@ TILE_SHARES = (0.9, 0.75, 0.5)
 """Shares of the misfit that the tiles hold together which are tried alone."""
 MAX_HALF_SHARE = 0.25
 """Share of the tiles that may hold half of the misfit for that to be tried: what bends does, noise is everywhere."""
+MIN_MEASURED = 0.2
+"""Share of the pixels of a tile that the sensor measured in the frames of a run from which on it is shown; by hand."""
 MIN_MISFIT = 1e-9
 """Keeps shares of no misfit at all finite."""
 MAX_SCALE_SHARE = 0.99
@@ -96,11 +101,25 @@ class DepthVideoChoice(NamedTuple):
         smaller = self.pictures.columns * self.pictures.rows / (pictures.columns * pictures.rows)
         return DepthVideoChoice(pictures, self.least_misfit * smaller)
 
-    def tiles(self, misfits: NDArray[np.float64]) -> NDArray[np.bool_] | None:
-        """Return which tiles of `tile_misfits` are shown, None for all: also where too many would have to be told."""
-        if not self.least_misfit or misfits.size > 8 * MAX_TILE_BYTES:
+    def coarser(self, crf: int) -> DepthVideoChoice:
+        """Return the choice with pictures coarser by some steps, or finer, within the limits."""
+        pictures = self.pictures
+        return self._replace(pictures=pictures._replace(crf=int(np.clip(pictures.crf + crf, MIN_CRF, MAX_CRF))))
+
+    def traded(self, sizes: Sequence[tuple[int, int]], crf: int) -> DepthVideoChoice:
+        """Return the choice of the next of some sizes (columns, rows) in pictures coarser by some steps, if any."""
+        following = sizes[sizes.index(self.pictures[:2]) + 1 :]
+        return self.magnified(PictureFormat(*following[0], self.pictures.crf)).coarser(crf) if following else self
+
+    def tiles(self, misfits: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+        """Return which tiles of `tile_misfits` are shown, None for all: also where too many would have to be told.
+
+        Of `measured`, the share of each that was, nothing but holes is not shown: models know better.
+        """
+        if misfits.size > 8 * MAX_TILE_BYTES:
             return None
-        return np.asarray(misfits >= self.least_misfit)
+        shown = (misfits >= self.least_misfit) & (measured >= MIN_MEASURED)
+        return None if shown.all() else np.asarray(shown)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,13 +225,23 @@ def tile_misfits(
 
     `pictures` are pairs of what is drawn and what was measured, (h, w) each.
     """
+    return _tile_sums((geman_mcclure_errors(*pair) / pair[0].size for pair in pictures), video)
+
+
+def measured_shares(depths: Sequence[NDArray[np.float32]], video: PictureFormat) -> NDArray[np.float64]:
+    """Return the share of the pixels of each tile (down, across) of a video that were measured in depths (h, w)."""
+    pixels = _tile_sums([np.ones(depths[0].shape)], video)
+    return _tile_sums((depth > 0 for depth in depths), video) / np.maximum(pixels, 1)
+
+
+def _tile_sums(maps: Iterable[NDArray[Any]], video: PictureFormat) -> NDArray[np.float64]:
+    """Return the sum of maps (h, w) over each tile (down, across) of a video, their mean."""
     size = video.rows, video.columns
     tiles = np.zeros(tile_grid(*size))
     count = 0
-    for drawn, measured in pictures:
-        numbers = np.ravel_multi_index(np.ix_(*tiles_of_pixels(size, drawn.shape)), tiles.shape)
-        misfits = geman_mcclure_errors(drawn, measured)
-        tiles += np.bincount(numbers.reshape(-1), misfits.reshape(-1), tiles.size).reshape(tiles.shape) / drawn.size
+    for values in maps:
+        numbers = np.ravel_multi_index(np.ix_(*tiles_of_pixels(size, values.shape)), tiles.shape)
+        tiles += np.bincount(numbers.reshape(-1), values.reshape(-1), tiles.size).reshape(tiles.shape)
         count += 1
     return tiles / max(count, 1)
 
@@ -233,6 +262,7 @@ class DepthVideoTrial:
         self._cost, self._misfit_cost = cost, misfit_cost
         taken = sum(record.sensor == own.sensor for record in own.scene.records)
         self._part = taken / len(own.scene.records)
+        self._run_frames = max(1, round(own.batch_frames * self._part))
         first = max(0, (len(own.seeing) - TRIAL_FRAMES) // 2)
         numbers = own.seeing[first : first + TRIAL_FRAMES]
         self._share = len(numbers) / len(own.seeing)
@@ -262,8 +292,9 @@ class DepthVideoTrial:
                 self._try(self._most().magnified(self._format(scale)))
         if self._gains[self._most()] < HOPELESS_GAIN and not sure:
             return None
-        for step in CRF_STEPS:
-            self._try_qualities(step)
+        self._try_qualities(CRF_STEPS)
+        self._try_trades()
+        self._try_qualities(FINE_CRF_STEPS)
         best = self._gains[self._most()]
         if best == -inf or not (sure or best > MIN_GAIN):
             return None
@@ -295,13 +326,23 @@ class DepthVideoTrial:
                 return
             before = found
 
-    def _try_qualities(self, step: int) -> None:
-        """Try coarser or finer qualities of the best choice while they gain."""
+    def _try_qualities(self, steps: Sequence[int]) -> None:
+        """Try coarser and finer qualities of the best choice while they gain."""
+        for step in steps:
+            self._climb(partial(DepthVideoChoice.coarser, crf=step))
+
+    def _try_trades(self) -> None:
+        """Try larger coarser pictures in place of the best choice, or smaller finer ones, while they gain."""
+        sizes = list(dict.fromkeys(self._format(scale)[:2] for scale in (*SCALES, *LARGE_SCALES)))
+        self._climb(partial(DepthVideoChoice.traded, sizes=sizes, crf=TRADED_CRF))
+        self._climb(partial(DepthVideoChoice.traded, sizes=sizes[::-1], crf=-TRADED_CRF))
+
+    def _climb(self, step: Callable[[DepthVideoChoice], DepthVideoChoice]) -> None:
+        """Take a step from the best choice, and go on while it becomes another one."""
         before = None
         while self._most() != before:
             before = self._most()
-            crf = int(np.clip(before.pictures.crf + step, MIN_CRF, MAX_CRF))
-            self._try(before._replace(pictures=before.pictures._replace(crf=crf)))
+            self._try(step(before))
 
     def _tile_misfits(self, pictures: PictureFormat) -> list[float]:
         """Return misfits of tiles from which on these hold some shares of all, if few hold the half."""
@@ -323,28 +364,41 @@ class DepthVideoTrial:
 
     def _gain(self, choice: DepthVideoChoice) -> float:
         """Return what a video of all sensors gains: what it takes off the misfit less the price of its bytes."""
-        tiles = choice.tiles(self._misfits(choice.pictures))
-        run = encode_depth_run(self._measured, choice.pictures, tiles, thorough=False, threads=self._threads)
-        video_bytes = (len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES) / (self._share * self._part)
+        shares = measured_shares(self._measured, choice.pictures)
+        tiles = choice.tiles(self._misfits(choice.pictures), shares)
+        runs = {
+            first: encode_depth_run(
+                self._measured[first : first + self._run_frames],
+                choice.pictures,
+                tiles,
+                thorough=False,
+                threads=self._threads,
+            )
+            for first in range(0, len(self._measured), self._run_frames)
+        }
+        size = sum(len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES for run in runs.values())
+        video_bytes = size / (self._share * self._part)
         if video_bytes > self._max_bytes:
             self._hopes[choice] = -inf
             return -inf
         dearer = self._cost.at(video_bytes) - self._cost.at(0)
         self._hopes[choice] = self._misfit_cost(self._misfit) - self._misfit_cost(HOPED_SHARE * self._misfit) - dearer
-        shown = self._misfit_with(self._shown(run, choice.pictures))
+        shown = self._misfit_with(
+            {place: depth for first, run in runs.items() for place, depth in self._shown(first, run, choice.pictures)}
+        )
         return self._misfit_cost(self._misfit) - self._misfit_cost(shown) - dearer
 
-    def _shown(self, run: EncodedDepthRun, choice: PictureFormat) -> dict[int, NDArray[np.float32]]:
-        """Return what a decoder shows by a run instead of the depth drawn of some frames, by their place in it."""
+    def _shown(
+        self, first: int, run: EncodedDepthRun, choice: PictureFormat
+    ) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """Yield places of some frames, and what a decoder shows there by the run from `first` on, not what is drawn."""
         video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
         levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS, LAW)
-        return {
-            place: CapturedDepth(samples=planes.luma, levels=levels, complete=self._everywhere, tiles=run.tiles).shown(
-                self._drawn[place], self._threads
-            )
-            for place, planes in enumerate(decode_av1(run.payload, len(self._measured), video))
-            if place in self._drawn
-        }
+        count = min(self._run_frames, len(self._measured) - first)
+        for place, planes in enumerate(decode_av1(run.payload, count, video), first):
+            if place in self._drawn:
+                captured = CapturedDepth(samples=planes.luma, levels=levels, complete=self._everywhere, tiles=run.tiles)
+                yield place, captured.shown(self._drawn[place], self._threads)
 
     def _misfit_with(self, shown: Mapping[int, NDArray[np.float32]]) -> float:
         """Return the misfit of what is drawn, or shown instead."""
@@ -366,11 +420,11 @@ class DepthVideoWriter:
         for numbers in self._own.runs():
             measured = [self._own.measured(number) for number in numbers]
             drawn = [next(self._drawn) for _ in numbers]
-            tiles = choice.tiles(tile_misfits(zip(drawn, measured, strict=True), pictures))
+            misfits = tile_misfits(zip(drawn, measured, strict=True), pictures)
+            tiles = choice.tiles(misfits, measured_shares(measured, pictures))
             if tiles is not None and not tiles.any():
                 continue
-            filled = [np.where(depth > 0, depth, models) for depth, models in zip(measured, drawn, strict=True)]
-            run = encode_depth_run(filled, pictures, tiles, thorough=True, threads=threads)
+            run = encode_depth_run(measured, pictures, tiles, thorough=True, threads=threads)
             header = DepthVideoHeader(
                 frame=numbers[0],
                 count=len(numbers),

@@ -14,7 +14,12 @@ from threedvc.coding.video.av1 import can_encode_av1, decode_av1
 from threedvc.coding.video.planes import VideoFormat
 from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion
 from threedvc.encoder.packetizer.captured.depth_run import DEPTH_BITS, PictureFormat, encode_depth_run
-from threedvc.encoder.packetizer.captured.depth_video import DepthVideoChoice, choose_depth_video, tile_misfits
+from threedvc.encoder.packetizer.captured.depth_video import (
+    DepthVideoChoice,
+    choose_depth_video,
+    measured_shares,
+    tile_misfits,
+)
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.objective import ColorCost
 from threedvc.render.captured_depth import TILE, tile_grid, unpack_tiles
@@ -45,9 +50,20 @@ def test_what_was_not_measured_does_not_count() -> None:
 
 
 def test_tiles_from_a_misfit_on_are_chosen() -> None:
-    misfits = np.array([[0.0, 0.02], [0.01, 0.03]])
-    np.testing.assert_array_equal(DepthVideoChoice(PICTURES, 0.02).tiles(misfits), [[False, True], [False, True]])
-    assert DepthVideoChoice(PICTURES).tiles(misfits) is None
+    misfits, all_measured = np.array([[0.0, 0.02], [0.01, 0.03]]), np.ones((2, 2))
+    choice = DepthVideoChoice(PICTURES, 0.02)
+    np.testing.assert_array_equal(choice.tiles(misfits, all_measured), [[False, True], [False, True]])
+    assert DepthVideoChoice(PICTURES).tiles(misfits, all_measured) is None
+
+
+def test_tiles_of_which_hardly_anything_was_measured_are_left_out() -> None:
+    depth = np.ones((72, 96), np.float32)
+    depth[:, :34] = 0
+    shares = measured_shares([depth, depth, 0 * depth], PICTURES)
+    np.testing.assert_allclose(shares[0], [0, 0, 14 / 16 * 2 / 3, 2 / 3, 2 / 3, 2 / 3])
+    tiles = DepthVideoChoice(PICTURES).tiles(np.zeros(shares.shape), shares)
+    assert tiles is not None
+    np.testing.assert_array_equal(tiles[0], [False, False, True, True, True, True])
 
 
 @with_video
