@@ -9,7 +9,7 @@ from math import inf
 
 import numpy as np
 
-from threedvc.config import DepthErrorKind, EncoderConfig, with_step
+from threedvc.config import DepthErrorKind, DepthVideo, EncoderConfig, with_step
 from threedvc.encoder.appearance.rate_distortion import depth_misfit, rate_distortion_at
 from threedvc.encoder.fusion.evidence_model import EvidenceModel
 from threedvc.encoder.fusion.surface_extraction import Surface, extract_surface
@@ -48,8 +48,8 @@ would draw them slowly."""
 MAX_WIDENINGS = 4
 """Cells without colors are tried so often wider by a quarter: 2.4 times as wide take a sixth of the bytes."""
 COARSER = 3.0
-"""By how much cells are widened where a video shows all depth: they take a ninth of the bytes, and still draw other
-viewpoints."""
+"""By how much cells are widened where a depth video may show all that they did: they take a ninth of the bytes, and
+still draw other viewpoints."""
 MAX_CELL_FACTOR = 16
 """Cells wider or narrower than this many times the default tell nothing of a scene."""
 
@@ -127,13 +127,19 @@ def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCos
 
 
 def may_be_coarse(state: Reconstruction) -> bool:
-    """Tell whether cells may be widened: there is a background alone, which moves, in cells that nobody has chosen."""
-    objects = state.scene.objects
-    return state.config.voxel_size_m is None and set(objects) == {0} and not objects[0].at_rest
+    """Tell whether cells may be widened beside a color video.
+
+    They may if a depth video may show what they do not, and there is a background alone, which moves, in cells that
+    nobody has chosen.
+    """
+    config, objects = state.config, state.scene.objects
+    has_video = config.refine and config.depth_video is not DepthVideo.OFF
+    modeled = config.depth_error.kind is DepthErrorKind.MODEL and config.voxel_size_m is None
+    return has_video and modeled and set(objects) == {0} and not objects[0].at_rest
 
 
 def with_coarse_cells(state: Reconstruction, relief_bits: int | None, fusion: FusionPass) -> Reconstruction:
-    """Take cells for which little is spent, as they serve other viewpoints alone: a video shows all depth.
+    """Take cells for which little is spent: where a depth video shows all depth, they serve other viewpoints alone.
 
     `relief_bits` are those asked for, or None: they are chosen anew.
     """

@@ -35,7 +35,7 @@ HOPE = 0.6
 """By how much the logarithm of the squared error of models' colors may fall from a quick fit to the end, at most: 2.6
 dB; aligned poses, a filter and narrower cells gave 0.5 to 2 (decision 0032)."""
 MIN_GAIN = 0.05
-"""What coarse cells must gain beside a video of all depth: fine ones draw other viewpoints better."""
+"""What coarse cells must gain beside a color video: fine ones draw other viewpoints better."""
 OVER_BUDGET = 1.05
 """Times the bytes of a rate that a stream may take: as far as `3dvc encode --bitrate` promises to come."""
 

@@ -47,7 +47,7 @@ SHRINKING = ((61.0, 1.0, 0.0), (63.5, 0.75, 3.0), (71.0, 0.5, 7.0), (74.0, 0.375
 quantization loses up to 1.1 dB against a smaller picture of as many bytes (decision 0036)."""
 MAX_SCALED_CRF = 67.0
 """Quantization beyond which a scale is not tried by itself: a smaller one is better. From 62.75 on SVT-AV1 leaps, and
-where things move loses .3 dB and more; before a camera at rest it is the best up to here (hands_table)."""
+loses .3 dB and more where the camera moves, but none where it rests (hands_table)."""
 MIN_SIDE = 16
 """No side of a picture is smaller, unless the camera's is; by hand."""
 HALVING = 7.0

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +40,7 @@ MAX_CHROMA_SHARE = 0.35
 """Share of the squared error that halving chroma may have; beyond, full chroma is better for the bytes. Measured where
 the two are equal: .25 (fr1_rpy), .3 (two_toys), .4 (cow_turn), see decision 0034."""
 LIKELY_TRIALS = 3
-"""Videos that are coded on the way there: nothing has to fit."""
+"""Videos that are coded to find the price of bytes: none has to fit."""
 DB_PER_COARSENESS, MIN_DB_PER_COARSENESS = 0.36, 0.05
 """By how much one of coarseness lowers PSNR, about, and at least."""
 CLOSE_DB = 0.15
@@ -54,10 +55,10 @@ MAX_STEPS = 8
 PEAK = 255.0
 """Largest level of a channel."""
 HOPELESS = 0.15
-"""By how much the logarithm of a larger scale's error may exceed the best one and the next scale still be tried: of a
-camera at rest three quarters of the sides lose up to .7 dB where both half of them and all are good (hands_table)."""
+"""By how much the logarithm of a larger scale's error may exceed the least one, .65 dB, and the next scale still be
+tried: before a camera at rest three quarters of the sides may be worse than both half of them and all (hands_table)."""
 ALIKE = 1.3
-"""Times the bytes, or part of them, for which a scale that was found serves, too."""
+"""A scale found for one budget serves budgets up to so many times larger or smaller."""
 ENOUGH = 0.95
 """Share of a budget that a video takes at least; otherwise a smaller scale is tried, or one without loss may fit."""
 
@@ -134,8 +135,9 @@ class ColorVideoTrials:
             steps = SCALES.index(scale) - SCALES.index(first.scale)
             coarseness = min(max(first.crf + SCALE_CRF * steps, MIN_CRF), MAX_SCALED_CRF)
             other = self.writer.choice_within(budget_bytes, VideoChoice(coarseness, scale=scale))
-            worse = self._errors(other).logarithm - self._errors(choice).logarithm
-            if self.writer.size(other) <= budget_bytes and worse < 0:
+            fits = self.writer.size(other) <= budget_bytes
+            worse = self._errors(other).logarithm - self._errors(choice).logarithm if fits else inf
+            if worse < 0:
                 choice = other
             elif scale in larger and worse > HOPELESS:
                 break
@@ -195,9 +197,12 @@ class ColorVideoTrials:
         return ColorCost([sizes[k] for k in order], [errors[k] for k in order], budget_bytes, least)
 
     def _likely(self, budget_bytes: float) -> VideoChoice:
-        """Return the choice of some coded that comes nearest to so many bytes."""
-        self.writer.choice_within(budget_bytes, max_trials=LIKELY_TRIALS)
-        return min(self.writer.sizes, key=lambda each: abs(np.log(self.writer.size(each) / budget_bytes)))
+        """Return the choice of some coded that comes nearest to so many bytes, with full chroma if that is better."""
+        found = self.writer.choice_within(budget_bytes, max_trials=LIKELY_TRIALS)
+        if full := self._wants_full_chroma(found):
+            self.writer.choice_within(budget_bytes, found._replace(full_chroma=True), LIKELY_TRIALS)
+        alike = [each for each in self.writer.sizes if each.full_chroma == full and not each.exact]
+        return min(alike, key=lambda each: abs(np.log(self.writer.size(each) / budget_bytes)))
 
     def _wants_full_chroma(self, choice: VideoChoice) -> bool:
         """Tell whether halving chroma takes so much of the error of a choice that full chroma is better."""

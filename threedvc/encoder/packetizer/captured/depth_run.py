@@ -87,7 +87,7 @@ def encode_depth_run(
     ----------
     measured
         What the sensor measured. Where it did not, pictures are filled smoothly from around: what models draw there has
-        edges, which flicker and take up to half of the bytes (decision 0038).
+        edges, which flicker and take up to a third of the bytes (decision 0038).
     choice
         Size and quality.
     tiles

@@ -7,11 +7,11 @@ measure by which cells are chosen: the logarithm of the depth's misfit against t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import ceil, inf
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,14 @@ from threedvc.encoder.packetizer.captured.depth_run import (
     encode_depth_run,
     is_everywhere,
 )
+from threedvc.encoder.packetizer.captured.depth_tiles import are_measured, tile_misfits
 from threedvc.encoder.packetizer.frame_runs import runs_of
 from threedvc.encoder.rate.objective import ColorCost
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.frames.sequence import FrameSequence
 from threedvc.limits import MAX_SEQUENCE_SAMPLES, MAX_TILE_BYTES, MAX_VIDEO_SIDE
-from threedvc.metrics.depth_errors import geman_mcclure_errors, shown_depth_error
-from threedvc.render.captured_depth import CapturedDepth, depth_levels, pack_tiles, tile_grid, tiles_of_pixels
+from threedvc.metrics.depth_errors import shown_depth_error
+from threedvc.render.captured_depth import CapturedDepth, depth_levels, pack_tiles
 from threedvc.stream.captured_headers import DepthVideoHeader
 from threedvc.stream.framing_sizes import DEPTH_VIDEO_FRAMING_BYTES
 from threedvc.stream.packets import Packet
@@ -62,7 +63,7 @@ HOPED_SHARE = 0.25
 MIN_GAIN = 0.05
 """What a video must gain beyond its price (decision 0019): trials are small, and a stream without one is simpler."""
 ALIKE = 0.01
-"""Of choices whose gains differ by no more, the finest is taken: trials are coded less thoroughly."""
+"""Of choices whose gains differ by no more, that of most bytes is taken: trials are coded less thoroughly."""
 MAX_RATE_SHARE = 0.8
 """Share of the bytes of colors of a stream of given rate that a video may take: these need the rest; by hand."""
 MAX_PART = 1.0
@@ -72,8 +73,6 @@ TILE_SHARES = (0.9, 0.75, 0.5)
 """Shares of the misfit that the tiles hold together which are tried alone."""
 MAX_HALF_SHARE = 0.25
 """Share of the tiles that may hold half of the misfit for that to be tried: what bends does, noise is everywhere."""
-MIN_MEASURED = 0.2
-"""Share of the pixels of a tile that the sensor measured in the frames of a run from which on it is shown; by hand."""
 MIN_MISFIT = 1e-9
 """Keeps shares of no misfit at all finite."""
 MAX_SCALE_SHARE = 0.99
@@ -99,7 +98,7 @@ class DepthVideoChoice(NamedTuple):
     def magnified(self, pictures: PictureFormat) -> DepthVideoChoice:
         """Return the choice of about the same places in larger pictures, whose tiles are smaller."""
         smaller = self.pictures.columns * self.pictures.rows / (pictures.columns * pictures.rows)
-        return DepthVideoChoice(pictures, self.least_misfit * smaller)
+        return DepthVideoChoice(pictures, _rounded(self.least_misfit * smaller))
 
     def coarser(self, crf: int) -> DepthVideoChoice:
         """Return the choice with pictures coarser by some steps, or finer, within the limits."""
@@ -111,14 +110,14 @@ class DepthVideoChoice(NamedTuple):
         following = sizes[sizes.index(self.pictures[:2]) + 1 :]
         return self.magnified(PictureFormat(*following[0], self.pictures.crf)).coarser(crf) if following else self
 
-    def tiles(self, misfits: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.bool_] | None:
-        """Return which tiles of `tile_misfits` are shown, None for all: also where too many would have to be told.
+    def tiles(self, misfits: NDArray[np.float64], measured: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        """Return which tiles are shown, None for all: also where too many would have to be told.
 
-        Of `measured`, the share of each that was, nothing but holes is not shown: models know better.
+        They are those whose `tile_misfits` are large enough and that `are_measured`: models know more of the others.
         """
         if misfits.size > 8 * MAX_TILE_BYTES:
             return None
-        shown = (misfits >= self.least_misfit) & (measured >= MIN_MEASURED)
+        shown = (misfits >= self.least_misfit) & measured
         return None if shown.all() else np.asarray(shown)
 
 
@@ -218,34 +217,6 @@ def choose_depth_video(
     return videos if sum(len(video.payload) for video in videos) <= max_bytes else []
 
 
-def tile_misfits(
-    pictures: Iterable[tuple[NDArray[np.float32], NDArray[np.float32]]], video: PictureFormat
-) -> NDArray[np.float64]:
-    """Return the misfit of depths that are drawn in each tile (down, across) of a video, over that of a wrong picture.
-
-    `pictures` are pairs of what is drawn and what was measured, (h, w) each.
-    """
-    return _tile_sums((geman_mcclure_errors(*pair) / pair[0].size for pair in pictures), video)
-
-
-def measured_shares(depths: Sequence[NDArray[np.float32]], video: PictureFormat) -> NDArray[np.float64]:
-    """Return the share of the pixels of each tile (down, across) of a video that were measured in depths (h, w)."""
-    pixels = _tile_sums([np.ones(depths[0].shape)], video)
-    return _tile_sums((depth > 0 for depth in depths), video) / np.maximum(pixels, 1)
-
-
-def _tile_sums(maps: Iterable[NDArray[Any]], video: PictureFormat) -> NDArray[np.float64]:
-    """Return the sum of maps (h, w) over each tile (down, across) of a video, their mean."""
-    size = video.rows, video.columns
-    tiles = np.zeros(tile_grid(*size))
-    count = 0
-    for values in maps:
-        numbers = np.ravel_multi_index(np.ix_(*tiles_of_pixels(size, values.shape)), tiles.shape)
-        tiles += np.bincount(numbers.reshape(-1), values.reshape(-1), tiles.size).reshape(tiles.shape)
-        count += 1
-    return tiles / max(count, 1)
-
-
 class DepthVideoTrial:
     """Frames in the middle of those that one sensor took, and what the models draw of some of them.
 
@@ -262,11 +233,12 @@ class DepthVideoTrial:
         self._cost, self._misfit_cost = cost, misfit_cost
         taken = sum(record.sensor == own.sensor for record in own.scene.records)
         self._part = taken / len(own.scene.records)
-        self._run_frames = max(1, round(own.batch_frames * self._part))
         first = max(0, (len(own.seeing) - TRIAL_FRAMES) // 2)
         numbers = own.seeing[first : first + TRIAL_FRAMES]
         self._share = len(numbers) / len(own.seeing)
         self._measured: DepthMaps = [own.measured(number) for number in numbers]
+        together = max(1, round(own.batch_frames * self._part))
+        self._run_maps = [self._measured[k : k + together] for k in range(0, len(numbers), together)]
         some = numbers[:: ceil(len(numbers) / TRIAL_PICTURES)]
         self._drawn = dict(zip(map(numbers.index, some), own.drawn(some), strict=True))
         budget = cost.budget_bytes
@@ -280,6 +252,7 @@ class DepthVideoTrial:
         self._misfit = self._misfit_with({})
         self._gains: dict[DepthVideoChoice, float] = {}
         self._hopes: dict[DepthVideoChoice, float] = {}
+        self._sizes: dict[DepthVideoChoice, float] = {}
 
     def best(self, *, sure: bool) -> DepthVideoChoice | None:
         """Return the choice that gains most; None if none gains enough, unless a video is wanted for sure."""
@@ -290,16 +263,17 @@ class DepthVideoTrial:
         if self._most().least_misfit:
             for scale in SCALES[1:]:
                 self._try(self._most().magnified(self._format(scale)))
-        if self._gains[self._most()] < HOPELESS_GAIN and not sure:
+        hope = self._gains[self._most()]
+        if hope == -inf or (hope < HOPELESS_GAIN and not sure):
             return None
         self._try_qualities(CRF_STEPS)
         self._try_trades()
         self._try_qualities(FINE_CRF_STEPS)
         best = self._gains[self._most()]
-        if best == -inf or not (sure or best > MIN_GAIN):
+        if not (sure or best > MIN_GAIN):
             return None
         alike = [choice for choice, gain in self._gains.items() if gain >= best - ALIKE]
-        return max(alike, key=lambda each: (each.pictures.columns * each.pictures.rows, -each.pictures.crf))
+        return max(alike, key=self._sizes.__getitem__)
 
     def _try(self, choice: DepthVideoChoice) -> float:
         """Return what a choice gains, which is tried once."""
@@ -338,7 +312,7 @@ class DepthVideoTrial:
         self._climb(partial(DepthVideoChoice.traded, sizes=sizes[::-1], crf=-TRADED_CRF))
 
     def _climb(self, step: Callable[[DepthVideoChoice], DepthVideoChoice]) -> None:
-        """Take a step from the best choice, and go on while it becomes another one."""
+        """Step from the best choice for as long as the step becomes the best."""
         before = None
         while self._most() != before:
             before = self._most()
@@ -350,7 +324,7 @@ class DepthVideoTrial:
         rising = np.sort(misfits.reshape(-1))[::-1]
         held = np.cumsum(rising) / max(rising.sum(), MIN_MISFIT)
         few = np.searchsorted(held, 0.5) + 1 <= MAX_HALF_SHARE * len(rising)
-        return [float(rising[np.searchsorted(held, share)]) for share in TILE_SHARES] if few else []
+        return [_rounded(rising[np.searchsorted(held, share)]) for share in TILE_SHARES] if few else []
 
     def _misfits(self, pictures: PictureFormat) -> NDArray[np.float64]:
         """Return the `tile_misfits` of what is drawn."""
@@ -364,47 +338,49 @@ class DepthVideoTrial:
 
     def _gain(self, choice: DepthVideoChoice) -> float:
         """Return what a video of all sensors gains: what it takes off the misfit less the price of its bytes."""
-        shares = measured_shares(self._measured, choice.pictures)
-        tiles = choice.tiles(self._misfits(choice.pictures), shares)
-        runs = {
-            first: encode_depth_run(
-                self._measured[first : first + self._run_frames],
-                choice.pictures,
-                tiles,
-                thorough=False,
-                threads=self._threads,
-            )
-            for first in range(0, len(self._measured), self._run_frames)
-        }
-        size = sum(len(run.payload) + DEPTH_VIDEO_FRAMING_BYTES for run in runs.values())
+        tiles = choice.tiles(self._misfits(choice.pictures), are_measured(self._measured, choice.pictures))
+        runs = [
+            encode_depth_run(each, choice.pictures, tiles, thorough=False, threads=self._threads)
+            for each in self._run_maps
+        ]
+        told = 0 if tiles is None else len(pack_tiles(tiles))
+        size = sum(len(run.payload) + told + DEPTH_VIDEO_FRAMING_BYTES for run in runs)
         video_bytes = size / (self._share * self._part)
+        self._sizes[choice] = video_bytes
         if video_bytes > self._max_bytes:
             self._hopes[choice] = -inf
             return -inf
         dearer = self._cost.at(video_bytes) - self._cost.at(0)
         self._hopes[choice] = self._misfit_cost(self._misfit) - self._misfit_cost(HOPED_SHARE * self._misfit) - dearer
-        shown = self._misfit_with(
-            {place: depth for first, run in runs.items() for place, depth in self._shown(first, run, choice.pictures)}
-        )
+        shown = self._misfit_with(dict(self._shown(runs, choice.pictures)))
         return self._misfit_cost(self._misfit) - self._misfit_cost(shown) - dearer
 
     def _shown(
-        self, first: int, run: EncodedDepthRun, choice: PictureFormat
+        self, runs: Sequence[EncodedDepthRun], choice: PictureFormat
     ) -> Iterator[tuple[int, NDArray[np.float32]]]:
-        """Yield places of some frames, and what a decoder shows there by the run from `first` on, not what is drawn."""
+        """Yield places of some frames, and what a decoder shows there by runs in place of what is drawn."""
         video = VideoFormat(width=choice.columns, height=choice.rows, bits=DEPTH_BITS, gray=True)
-        levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS, LAW)
-        count = min(self._run_frames, len(self._measured) - first)
-        for place, planes in enumerate(decode_av1(run.payload, count, video), first):
-            if place in self._drawn:
-                captured = CapturedDepth(samples=planes.luma, levels=levels, complete=self._everywhere, tiles=run.tiles)
-                yield place, captured.shown(self._drawn[place], self._threads)
+        first = 0
+        for run, maps in zip(runs, self._run_maps, strict=True):
+            levels = depth_levels(run.nearest_m, run.ratio, DEPTH_BITS, LAW)
+            for place, planes in enumerate(decode_av1(run.payload, len(maps), video), first):
+                if place in self._drawn:
+                    captured = CapturedDepth(
+                        samples=planes.luma, levels=levels, complete=self._everywhere, tiles=run.tiles
+                    )
+                    yield place, captured.shown(self._drawn[place], self._threads)
+            first += len(maps)
 
     def _misfit_with(self, shown: Mapping[int, NDArray[np.float32]]) -> float:
         """Return the misfit of what is drawn, or shown instead."""
         return shown_depth_error(
             (shown.get(place, drawn), self._measured[place]) for place, drawn in self._drawn.items()
         )
+
+
+def _rounded(misfit: float) -> float:
+    """Return a misfit with as many digits as survive a multiplication and a division."""
+    return float(f"{misfit:.9g}")
 
 
 class DepthVideoWriter:
@@ -421,7 +397,7 @@ class DepthVideoWriter:
             measured = [self._own.measured(number) for number in numbers]
             drawn = [next(self._drawn) for _ in numbers]
             misfits = tile_misfits(zip(drawn, measured, strict=True), pictures)
-            tiles = choice.tiles(misfits, measured_shares(measured, pictures))
+            tiles = choice.tiles(misfits, are_measured(measured, pictures))
             if tiles is not None and not tiles.any():
                 continue
             run = encode_depth_run(measured, pictures, tiles, thorough=True, threads=threads)

@@ -122,6 +122,35 @@ def test_pictures_are_larger_where_their_error_is_less(frames: FrameSequence, mo
     assert size(found, choice) <= budget
 
 
+@pytest.mark.parametrize(("worse", "scale"), [(0.1, 1.0), (0.2, 0.5)])
+def test_a_scale_that_is_a_little_worse_does_not_end_the_search(
+    frames: FrameSequence, monkeypatch: pytest.MonkeyPatch, worse: float, scale: float
+) -> None:
+    found = trials(frames)
+    first = VideoChoice(66)
+    assert first.coding.scale == 0.5
+    errors = {0.375: 1.0, 0.5: 0.0, 0.75: worse, 1.0: -0.1}
+    monkeypatch.setattr(
+        found, "_errors", lambda choice: SimpleNamespace(square=1e9, logarithm=errors[choice.coding.scale])
+    )
+    assert found._best_scale(first, float(size(found, VideoChoice(40)))).coding.scale == scale
+
+
+def test_a_scale_serves_budgets_alike_and_larger_ones_that_cannot_fit_are_not_measured(
+    frames: FrameSequence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = trials(frames)
+    budget = float(size(found, VideoChoice(62, scale=1.0)))
+    found._scales = [(budget, VideoChoice(62, scale=1.0))]
+    assert found.within(1.1 * budget).scale == 1
+    least = VideoChoice(MAX_COARSENESS)
+    size(found, least)
+    monkeypatch.setattr(found, "_errors", lambda _: pytest.fail("measured"))
+    assert found._best_scale(least, 1.0) == least
+    assert len([each for each in found.writer.sizes if each.scale == 0.375]) == 1
+    assert not [each for each in found.writer.sizes if each.scale == 0.5]
+
+
 def test_a_rate_that_no_loss_fits_into_has_none(frames: FrameSequence) -> None:
     found = trials(frames)
     assert found.within(2.0 * size(found, EXACT)) == EXACT

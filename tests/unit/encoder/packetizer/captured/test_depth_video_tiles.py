@@ -13,13 +13,10 @@ from helpers.nonrigid_scene import nonrigid_sequence
 from threedvc.coding.video.av1 import can_encode_av1, decode_av1
 from threedvc.coding.video.planes import VideoFormat
 from threedvc.config import ColorVideo, DepthVideo, EncoderConfig, Motion
+from threedvc.encoder.packetizer.captured import depth_video
 from threedvc.encoder.packetizer.captured.depth_run import DEPTH_BITS, PictureFormat, encode_depth_run
-from threedvc.encoder.packetizer.captured.depth_video import (
-    DepthVideoChoice,
-    choose_depth_video,
-    measured_shares,
-    tile_misfits,
-)
+from threedvc.encoder.packetizer.captured.depth_tiles import are_measured, tile_misfits
+from threedvc.encoder.packetizer.captured.depth_video import DepthVideoChoice, choose_depth_video
 from threedvc.encoder.pipeline.encoder import Encoder
 from threedvc.encoder.rate.objective import ColorCost
 from threedvc.render.captured_depth import TILE, tile_grid, unpack_tiles
@@ -50,20 +47,39 @@ def test_what_was_not_measured_does_not_count() -> None:
 
 
 def test_tiles_from_a_misfit_on_are_chosen() -> None:
-    misfits, all_measured = np.array([[0.0, 0.02], [0.01, 0.03]]), np.ones((2, 2))
+    misfits, all_measured = np.array([[0.0, 0.02], [0.01, 0.03]]), np.ones((2, 2), np.bool_)
     choice = DepthVideoChoice(PICTURES, 0.02)
     np.testing.assert_array_equal(choice.tiles(misfits, all_measured), [[False, True], [False, True]])
     assert DepthVideoChoice(PICTURES).tiles(misfits, all_measured) is None
+    half = np.array([[True, False], [True, True]])
+    np.testing.assert_array_equal(DepthVideoChoice(PICTURES).tiles(misfits, half), half)
 
 
-def test_tiles_of_which_hardly_anything_was_measured_are_left_out() -> None:
+def test_tiles_that_the_sensor_hardly_ever_measured_are_left_out() -> None:
     depth = np.ones((72, 96), np.float32)
-    depth[:, :34] = 0
-    shares = measured_shares([depth, depth, 0 * depth], PICTURES)
-    np.testing.assert_allclose(shares[0], [0, 0, 14 / 16 * 2 / 3, 2 / 3, 2 / 3, 2 / 3])
-    tiles = DepthVideoChoice(PICTURES).tiles(np.zeros(shares.shape), shares)
-    assert tiles is not None
-    np.testing.assert_array_equal(tiles[0], [False, False, True, True, True, True])
+    depth[:, :31] = 0
+    measured = are_measured([depth, depth, 0 * depth], PICTURES)
+    np.testing.assert_array_equal(measured[0], [False, False, True, True, True, True])
+    assert measured.shape == tile_grid(36, 48)
+
+
+def test_a_sensor_that_measures_few_pixels_measures_everywhere() -> None:
+    depth = (np.random.default_rng(1).random((72, 96)) < 0.1).astype(np.float32)
+    assert are_measured([depth], PICTURES).all()
+
+
+def test_steps_between_choices_stay_within_the_limits_and_lead_back() -> None:
+    sizes = [(24, 18), (36, 27), (48, 36)]
+    choice = DepthVideoChoice(PictureFormat(36, 27, 22), 0.125)
+    larger = choice.traded(sizes, 12)
+    assert larger.pictures == PictureFormat(48, 36, 34)
+    assert larger.least_misfit == pytest.approx(choice.least_misfit * 36 * 27 / (48 * 36))
+    assert larger.traded(sizes, 12) == larger
+    smaller = larger.traded(sizes[::-1], -12)
+    assert smaller.pictures == choice.pictures
+    assert smaller.traded(sizes, 12) == larger
+    assert choice.coarser(100).pictures.crf == depth_video.MAX_CRF
+    assert choice.coarser(-100).pictures.crf == depth_video.MIN_CRF
 
 
 @with_video
