@@ -106,6 +106,8 @@ class SequenceInfo:
         Whether the color pictures have one channel.
     has_camera_poses, has_object_poses, has_masks
         What the frames carry.
+    camera_rests
+        Whether the camera is known to stand still.
     read_as
         Options that the recording was read with where its user gave any, see `threedvc.stream.notes.input_options`.
     sensors
@@ -121,6 +123,7 @@ class SequenceInfo:
     has_camera_poses: bool = False
     has_object_poses: bool = False
     has_masks: bool = False
+    camera_rests: bool = False
     read_as: InputOptions = field(default_factory=dict)
     sensors: tuple[SensorInfo, ...] = ()
 

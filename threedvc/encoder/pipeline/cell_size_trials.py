@@ -109,10 +109,12 @@ def with_best_cells(state: Reconstruction, fusion: FusionPass, shifts: Sequence[
 def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCost) -> Reconstruction:
     """Take those cells whose depth is worth their bytes most beside a video of colors, of some tried or between them.
 
-    `cost` is what bytes cost that the video does not get. Before a camera at rest cells stay as they are.
+    `cost` is what bytes cost that the video does not get. Those of objects before a background at rest stay as they
+    are: such a background may be a depth picture, and then tells nothing of cells.
     """
+    objects = state.scene.objects
     exact = state.config.depth_error.kind is not DepthErrorKind.MODEL
-    if exact or state.config.voxel_size_m is not None or state.scene.objects[0].at_rest:
+    if exact or state.config.voxel_size_m is not None or (objects[0].at_rest and set(objects) != {0}):
         return state
     step = sampling_stride(len(fusion.frames), GEOMETRY_TRIAL_FRAMES, state.info)
     others = besides_surfaces(len(state.reports))
@@ -129,13 +131,13 @@ def with_best_geometry(state: Reconstruction, fusion: FusionPass, cost: ColorCos
 def may_be_coarse(state: Reconstruction) -> bool:
     """Tell whether cells may be widened beside a color video.
 
-    They may if a depth video may show what they do not, and there is a background alone, which moves, in cells that
-    nobody has chosen.
+    They may if a depth video may show what they do not, and there is a background alone, in cells that nobody has
+    chosen.
     """
-    config, objects = state.config, state.scene.objects
+    config = state.config
     has_video = config.refine and config.depth_video is not DepthVideo.OFF
     modeled = config.depth_error.kind is DepthErrorKind.MODEL and config.voxel_size_m is None
-    return has_video and modeled and set(objects) == {0} and not objects[0].at_rest
+    return has_video and modeled and set(state.scene.objects) == {0}
 
 
 def with_coarse_cells(state: Reconstruction, relief_bits: int | None, fusion: FusionPass) -> Reconstruction:

@@ -34,6 +34,7 @@ from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.encoder.registration.registration import RegistrationConfig
 from threedvc.encoder.segmentation.sequence_labels import MAX_LOST_SHARE, SequenceLabels
 from threedvc.encoder.tracking.pose_track import interpolate_blind_frames, merge_submaps
+from threedvc.encoder.tracking.resting_camera import camera_rests
 from threedvc.encoder.tracking.trajectory_smoothing import smooth_to_depth
 from threedvc.errors import ConfigError, SequenceError
 from threedvc.frames.frame import SequenceInfo
@@ -71,6 +72,8 @@ MIN_SURFACE_SHARE = 0.5
 
 def find_objects(info: SequenceInfo, config: EncoderConfig, fusion: FusionPass) -> Reconstruction:
     """Return which objects there are and where they are in every frame, with the evidence of their models."""
+    if not info.has_camera_poses and not info.sensors and camera_rests(fusion.frames):
+        info = replace(info, camera_rests=True)
     state = _first_pass(info, config, fusion)
     state = _with_measured_noise(state, info, config, fusion)
     if state.config.refine:

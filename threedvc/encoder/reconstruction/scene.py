@@ -277,5 +277,6 @@ class Scene:
 
         That of a depth threshold does by definition.
         """
-        rests = self._one_object or (self.sequence_labels is not None and self.sequence_labels.camera_rests)
+        by_motion = self.sequence_labels is not None and self.sequence_labels.camera_rests
+        rests = self._one_object or self.info.camera_rests or by_motion
         return number == 0 and rests and not self.info.has_camera_poses

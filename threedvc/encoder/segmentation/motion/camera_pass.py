@@ -15,7 +15,7 @@ from threedvc.encoder.segmentation.motion.segmenter_state import FUSION, Segment
 from threedvc.encoder.tracking.tracker import Tracker
 from threedvc.frames.frame import Frame
 from threedvc.geometry.camera import CameraRig
-from threedvc.geometry.pose import Pose, inverse
+from threedvc.geometry.pose import Pose, identity, inverse
 
 __all__ = ["CameraPass"]
 
@@ -39,10 +39,12 @@ class CameraPass:
         What is known of the sequence; it is only read.
     known
         Whether frames tell their poses.
+    rests
+        Whether the camera is known to stand still.
     """
 
-    def __init__(self, state: SegmenterState, *, known: bool) -> None:
-        self._state, self._known = state, known
+    def __init__(self, state: SegmenterState, *, known: bool, rests: bool = False) -> None:
+        self._state, self._known, self._rests = state, known, rests
         size = state.rig.depth
         self._resolution = state.coarse if size.width * size.height > MAX_FULL_PIXELS else state.full
         self._tracker = Tracker(state.sensor, state.threads, recovers=False)
@@ -54,6 +56,8 @@ class CameraPass:
         """Return T_camera_world of the next frame, downsampled, and fuse what stands still; None if it is lost."""
         if self._known:
             return None if frame.T_world_camera is None else inverse(frame.T_world_camera)
+        if self._rests:
+            return identity()
         state, views = self._state, FrameResolutions(frame, self._resolution, self._resolution)
         if self._background is None:
             self._background = EvidenceModel(_background_cell_size(frame.depth, state.rig))

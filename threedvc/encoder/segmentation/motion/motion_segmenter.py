@@ -68,7 +68,8 @@ class MotionSegmenter:
         self, info: SequenceInfo, config: EncoderConfig, sensor: SensorModel, downsampling: Downsampling
     ) -> None:
         self.state = SegmenterState(info, config, sensor, downsampling)
-        self._camera = CameraPass(self.state, known=info.has_camera_poses and config.motion is not Motion.TRACK)
+        known = info.has_camera_poses and config.motion is not Motion.TRACK
+        self._camera = CameraPass(self.state, known=known, rests=info.camera_rests)
 
     def observe(self, frame: Frame) -> None:
         """Find the camera in the next frame, and remember the frame."""
