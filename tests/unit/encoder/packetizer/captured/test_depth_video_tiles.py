@@ -97,6 +97,7 @@ def test_outside_of_its_tiles_a_run_stands_still_and_takes_less() -> None:
 
 
 @with_video
+@pytest.mark.usefixtures("quick_av1")
 def test_a_video_is_shown_where_something_bends() -> None:
     sequence = nonrigid_sequence(8, (128, 96), 0.1, 0.25)
     config = EncoderConfig(
