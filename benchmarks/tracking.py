@@ -47,7 +47,7 @@ NOTE = """\
 ATE is the root of the mean squared distance of camera positions after alignment, RPE that of the error from frame to
 frame, over all frames that were not lost; of objects the largest median error of turn and place after alignment of
 their frames. Frames per second are those of registration alone, and of all that the first pass does, without reading
-pictures. Luma has its full weight, as in a live stream; a file's first pass gives it a tenth (decision 0017).
+pictures. Luma counts a tenth for the background, as in a live stream and a file's first pass (decision 0040).
 "black": depth is missing in frames 100 to 110; "covered": color, too; "removed": frames 100 to 129 are."""
 
 

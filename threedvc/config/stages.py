@@ -34,7 +34,7 @@ CHROMA_STEP = 1.75
 """Times the step of luma; by taste: the eye sees chroma less sharply."""
 ROUNDS = {"fast": 0, "medium": 3, "slow": 8}
 """Of alignment, by preset. Measured on the kitchen (decision 0008): three give 0.5 dB, further ones 0.1 dB each."""
-MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 78.0, 56.0
+MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 82.75, 56.0
 """Coarseness of a video: the finest quantization of AV1, the coarsest with pictures of a quarter of the sides, and that
 of the middle quality, at which recordings of hand-held cameras have 33 dB and more."""
 MIDDLE_PSNR_DB = 29.3
@@ -199,7 +199,7 @@ class VideoConfig:
     Attributes
     ----------
     coarseness
-        From 1, the finest, to 78 in quarters: quantization of AV1 (its CRF), the last of them with smaller pictures;
+        From 1, the finest, to 82.75 in quarters: quantization of AV1 (its CRF), the last of them with smaller pictures;
         about seven more halve the bytes. Of no meaning with a rate.
     min_psnr_db
         Mean PSNR of the pictures, of red, green and blue, that they have at least without a rate: the video is less

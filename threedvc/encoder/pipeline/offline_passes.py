@@ -55,9 +55,6 @@ MORE_ROUNDS = 6
 TO_DEPTH = RegistrationConfig(luma_weight=0.1, weak_inliers=0.4, weak_overlap=0.15, rest_pixels=0.01, move_pixels=0.01)
 """Registration with the depth: luma counts little, but where the depth leaves a direction open. It refines poses that
 are about right, so whatever is not lost may be trusted."""
-DOUBTED_LUMA = 0.1
-"""Weight of luma in the first pass, when it is not known yet whether depth and color are registered as the input says:
-a color camera with another focal length would show other motions."""
 SURE_LUMA = 2.0
 """Weight of luma where the background is tracked again with a calibration that proved right."""
 BRIDGED_S = 0.5
@@ -137,18 +134,17 @@ def check_regions_of_interest(state: Reconstruction) -> None:
 
 def _first_pass(info: SequenceInfo, config: EncoderConfig, fusion: FusionPass) -> Reconstruction:
     """Find the objects and where they are; first by what moves, if nobody has said what there is."""
-    luma_weight = DOUBTED_LUMA if config.refine else 1.0
     if config.segmentation.mode is SegmentationMode.MOTION:
         labels = _labels_by_motion(info, config, fusion)
-        return fusion.fuse(Scene(info, config, None, labels, luma_weight=luma_weight))
+        return fusion.fuse(Scene(info, config, None, labels))
     if _may_divide(info, config):
         by_motion = replace(config, segmentation=SegmentationConfig(mode=SegmentationMode.MOTION))
         labels = _labels_by_motion(info, by_motion, fusion)
         if labels.is_sure:
-            state = fusion.fuse(Scene(info, by_motion, None, labels, luma_weight=luma_weight))
+            state = fusion.fuse(Scene(info, by_motion, None, labels))
             if not _loses_often(state):
                 return state
-    return fusion.fuse(Scene(info, config, luma_weight=luma_weight))
+    return fusion.fuse(Scene(info, config))
 
 
 def _may_divide(info: SequenceInfo, config: EncoderConfig) -> bool:

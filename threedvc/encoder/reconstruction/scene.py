@@ -34,6 +34,9 @@ from threedvc.stream.pose_status import PoseStatus
 
 __all__ = ["Scene"]
 
+DOUBTED_LUMA = 0.1
+"""Weight of luma against depth as long as nothing confirms that both cameras are registered as the input says: a color
+camera with another focal length shows other motions (decision 0017)."""
 MIN_PATIENCE = 5
 """Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
 
@@ -52,7 +55,7 @@ class Scene:
     sequence_labels
         Labels of the frames where these are divided by motion; None: find them as the frames come.
     luma_weight
-        Weight of luma against depth where objects are tracked, no more than 1 for others than the background.
+        Weight of luma against depth where the background is tracked; of objects that are refined, no more than 1.
     in_color
         Whether colors are fused and entropy is counted; without, surfaces are gray, and a quarter of the time is saved.
 
@@ -74,7 +77,7 @@ class Scene:
         poses: Mapping[int, Sequence[TrackedPose | None]] | None = None,
         sequence_labels: SequenceLabels | None = None,
         *,
-        luma_weight: float = 1.0,
+        luma_weight: float = DOUBTED_LUMA,
         in_color: bool = True,
     ) -> None:
         self.info, self.config = info, config
@@ -263,9 +266,15 @@ class Scene:
             self.config.threads,
             sensor_of=self.sensor_of,
             lit_evenly=number == 0,
-            luma_weight=self._luma_weight if number == 0 else min(self._luma_weight, 1.0),
+            luma_weight=self._luma_weight_of(number),
             patience=max(MIN_PATIENCE, round(self.info.fps)),
         )
+
+    def _luma_weight_of(self, number: int) -> float:
+        """Return the weight of luma for an object: the full one, unless all is going to be tracked again."""
+        if number == 0:
+            return self._luma_weight
+        return min(self._luma_weight, 1.0) if self.config.refine else 1.0
 
     def _is_tracked(self, number: int) -> bool:
         """Objects found by their motion bear no relation to the poses that the input may have."""

@@ -186,17 +186,26 @@ class ColorVideoWriter:
         return self.sizes[choice] if choice in self.sizes else video_bytes(self.packets(choice))
 
     def choice_within(
-        self, budget_bytes: float, like: VideoChoice | None = None, max_trials: int = MAX_TRIALS
+        self,
+        budget_bytes: float,
+        like: VideoChoice | None = None,
+        max_trials: int = MAX_TRIALS,
+        enough_share: float | None = None,
     ) -> VideoChoice:
         """Return the finest choice of at most so many bytes that a few trials find, or the coarsest of them.
 
         With `MAX_TRIALS` of them that is the coarsest there is. The first one is `like`, and all have its chroma and,
-        if it has any, its scale.
+        if it has any, its scale. With `enough_share` there are more than `max_trials`, up to `MAX_TRIALS`, until a
+        choice has that share of the bytes.
         """
         like = like or VideoChoice(FIRST_TRIAL)
         low, high = MIN_CRF, MAX_SCALED_CRF if like.scale else MAX_COARSENESS
         coarseness, sizes = min(like.coarseness, high), dict[float, int]()
-        for _ in range(max_trials):
+        for trial in range(MAX_TRIALS):
+            if trial >= max_trials and (
+                enough_share is None or any(enough_share <= size / budget_bytes <= 1 for size in sizes.values())
+            ):
+                break
             size = sizes[coarseness] = self.size(like._replace(coarseness=coarseness))
             low, high = (coarseness, high) if size > budget_bytes else (low, coarseness)
             if CLOSE * budget_bytes < size <= budget_bytes or high - low <= 1 / QUARTERS:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from math import isinf
 
 import numpy as np
@@ -27,10 +27,13 @@ LIVE_VIDEO_SHARE = 0.6
 take it gets, too. Measured on the kitchen at 48 kbit/s, see decision 0035."""
 AIM = 0.95
 """Share of its bytes that a video aims at: sizes of the next pictures are guessed by those of the last."""
-MAX_TRIALS = 3
-"""Videos of a batch that are coded on the way to its bytes; frames do not wait. If none fits, the coarsest is coded."""
+MAX_TRIALS, ENOUGH = 3, 0.85
+"""Videos of a batch that are coded on the way to its bytes, as frames do not wait; more, where none has this share of
+them: sizes leap where pictures get another scale. If none fits, the coarsest is coded."""
+MIN_KNOWN = 2
+"""Sizes by which that of another coarseness is guessed."""
 COARSEST = VideoChoice(MAX_COARSENESS)
-"""What is sent where hardly anything fits."""
+"""What is sent where hardly anything fits: a blurred picture tells more than a gray one."""
 
 
 class LiveColorVideo:
@@ -46,6 +49,7 @@ class LiveColorVideo:
         self._scene = scene
         self._frames: dict[int, Frame] = {}
         self._choice = VideoChoice(scene.config.video.coarseness)
+        self._sizes = _LikelySizes()
 
     def keep(self, frames: Iterable[Frame]) -> None:
         """Keep frames until their batch is sent."""
@@ -75,7 +79,10 @@ class LiveColorVideo:
         return packets
 
     def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> list[Packet]:
-        self._choice = writer.choice_within(AIM * budget_bytes, self._choice, MAX_TRIALS)
+        aim = AIM * budget_bytes
+        first = self._choice._replace(coarseness=self._sizes.coarseness_of(aim, self._choice.coarseness))
+        self._choice = writer.choice_within(aim, first, MAX_TRIALS, ENOUGH)
+        self._sizes.learn({choice.coarseness: size for choice, size in writer.sizes.items()})
         for choice in (self._choice, COARSEST):
             packets = writer.packets(choice)
             if packed_bytes(packets) <= budget_bytes:
@@ -104,3 +111,27 @@ class LiveColorVideo:
 
     def _writer(self, batch: BatchFrames) -> ColorVideoWriter:
         return ColorVideoWriter(self._scene, dict(self._frames), [range(batch.first, batch.stop)])
+
+
+class _LikelySizes:
+    """What batches take at a coarseness, as far as the last ones tell."""
+
+    def __init__(self) -> None:
+        self._sizes: dict[float, int] = {}
+
+    def learn(self, sizes: Mapping[float, int]) -> None:
+        """Take in sizes of a batch by coarseness; older ones stay that do not contradict them."""
+        older = {
+            coarseness: size
+            for coarseness, size in self._sizes.items()
+            if all((coarseness - other) * (size - taken) < 0 for other, taken in sizes.items())
+        }
+        self._sizes = dict(sorted((older | dict(sizes)).items()))
+
+    def coarseness_of(self, size: float, otherwise: float) -> float:
+        """Return the coarseness, in quarters, at which a batch probably has a size; `otherwise` if nothing tells."""
+        if len(self._sizes) < MIN_KNOWN:
+            return otherwise
+        known = np.log([*self._sizes.values()])
+        aim = float(np.interp(-np.log(size), -known, [*self._sizes]))
+        return float(np.ceil(QUARTERS * aim) / QUARTERS)

@@ -11,7 +11,7 @@ from helpers.nonrigid_scene import nonrigid_sequence
 from threedvc.coding.video.av1 import can_encode_av1
 from threedvc.config import EncoderConfig, VideoConfig
 from threedvc.encoder.packetizer.batch_budget import packed_bytes
-from threedvc.encoder.packetizer.captured.live_color_video import LiveColorVideo
+from threedvc.encoder.packetizer.captured.live_color_video import COARSEST, LiveColorVideo, _LikelySizes
 from threedvc.encoder.packetizer.scene_source import BatchFrames
 from threedvc.encoder.reconstruction.scene import Scene
 from threedvc.stream.captured_headers import ColorVideoHeader
@@ -67,3 +67,30 @@ def test_without_a_rate_pictures_come_to_the_psnr_asked_for() -> None:
     fine, fine_scene = video_and_scene(config(coarseness=30, min_psnr_db=10.0))
     fine.packets(BatchFrames.of(fine_scene, 0, 2), inf)
     assert fine._choice.coarseness == 30
+
+
+def test_the_coarsest_video_is_no_finer_than_av1_can_make_it() -> None:
+    video, scene = video_and_scene(config())
+    batch = BatchFrames.of(scene, 0, 3)
+    least = packed_bytes(video._writer(batch).packets(COARSEST))
+    [packet] = video.packets(batch, least + 1)
+    assert packed_bytes([packet]) == least
+
+
+def test_sizes_of_other_coarsenesses_are_guessed_by_those_known() -> None:
+    sizes = _LikelySizes()
+    assert sizes.coarseness_of(500, 61.25) == 61.25
+    sizes.learn({60.0: 4000})
+    assert sizes.coarseness_of(500, 61.25) == 61.25
+    sizes.learn({60.0: 4000, 74.0: 1000})
+    assert sizes.coarseness_of(2000, 0.0) == 67
+    assert sizes.coarseness_of(9000, 0.0) == 60
+    assert sizes.coarseness_of(10, 0.0) == 74
+
+
+def test_sizes_that_the_last_batch_contradicts_are_forgotten() -> None:
+    sizes = _LikelySizes()
+    sizes.learn({60.0: 4000, 67.0: 2000, 74.0: 1000})
+    sizes.learn({70.0: 3000})
+    assert sizes.coarseness_of(2000, 0.0) == 71.5
+    assert sizes.coarseness_of(3000, 0.0) == 70
