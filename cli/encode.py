@@ -14,6 +14,7 @@ import click
 from threedvc.cli.options import (
     bit_rate,
     depth_error,
+    duration,
     focus,
     force_option,
     frame_range,
@@ -63,6 +64,9 @@ SENSORS = ("auto", "ideal", "kinect1", "realsense", "lidar")
 @click.option("--sensor", type=click.Choice(SENSORS), multiple=True, help="Noise of the depth.  [default: auto]")
 @click.option("--preset", type=click.Choice(PRESETS), default="medium", show_default=True,
               help="How much work: send at once; fit colors; refine cameras and poses, too; for longer.")  # fmt: skip
+@click.option("--latency", type=duration, metavar="TIME",
+              help="Longest time that a frame waits for the others of its packets, such as 100ms or 2s (live).  "
+              "[default: 1s]")  # fmt: skip
 @click.option("--bitrate", type=bit_rate, metavar="RATE", help="Bits per second, such as 24k.")
 @click.option("--quality", type=int, metavar="1..100",
               help="Fineness of cells and colors: below 32 the smallest streams, at 50 at least 29 dB, at 90 visually "
@@ -168,6 +172,7 @@ def _as_map(report: EncodeReport) -> dict[str, Any]:
         "duration_s": report.duration_s,
         "kbit_s": report.file_bytes * 8 / report.duration_s / 1000,
         "seconds": report.seconds,
+        "latency_s": report.latency_s,
         "voxel_size_m": report.voxel_size_m,
         "lost_frames": list(report.lost_frames),
         "digest": report.digest.hex(),

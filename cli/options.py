@@ -27,6 +27,7 @@ __all__ = [
     "bit_rate",
     "decoded_outputs",
     "depth_error",
+    "duration",
     "focus",
     "force_option",
     "frame_range",
@@ -51,6 +52,7 @@ LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|m|)\s*")
 RATE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*([kKmM]?)\s*")
 RATE_EXPONENT = {"": 0, "k": 3, "m": 6}
 """Of a prefix of bits per second."""
+DURATION = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(ms|s|)\s*")
 PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
 RANGE = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 SIZE = re.compile(r"(\d+)[xX](\d+)")
@@ -77,6 +79,14 @@ def bit_rate(text: str) -> float:
     if match is None:
         raise click.BadParameter(f"{text!r} is not a bit rate; write 24k, 1.5M or a number of bits per second")
     return float(f"{match[1]}e{RATE_EXPONENT[match[2].lower()]}")
+
+
+def duration(text: str) -> float:
+    """Return seconds: ``100ms``, ``2s``; a plain number is seconds."""
+    match = DURATION.fullmatch(text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not a time; write 100ms, 2s or a number of seconds")
+    return float(f"{match[1]}e{-3 if match[2] == 'ms' else 0}")
 
 
 def depth_error(text: str) -> DepthErrorConfig:

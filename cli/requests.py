@@ -73,6 +73,7 @@ class EncodeRequest(ReaderRequest):
     segment: SegmentationConfig
     sensor: tuple[str, ...]
     preset: str
+    latency: float | None
     bitrate: float | None
     quality: int | None
     favor: str | None
@@ -149,6 +150,8 @@ class EncodeRequest(ReaderRequest):
         if self.quality is not None:
             config = with_quality(config, self.quality)
         config = with_preset(config, Preset.LIVE if self.causal else Preset(self.preset))
+        if self.latency is not None:
+            config = replace(config, latency_s=self.latency)
         if self.lossless:
             config = with_lossless(config)
         appearance = replace(config.appearance, relief_bits=self.relief)
@@ -162,6 +165,8 @@ class EncodeRequest(ReaderRequest):
         live = self.causal or self.preset == "live"
         if self.depth_video == "on" and live:
             raise click.UsageError("--depth-video on and --preset live contradict each other; give one of them")
+        if self.latency is not None and not live:
+            raise click.UsageError("--latency is for live streams; add --preset live, or leave it out")
         if self.lossless:
             for option, given in (
                 ("--bitrate", self.bitrate is not None),

@@ -42,6 +42,8 @@ class EncodeReport(Sequence[FrameReport]):
         Digest of the decoded models.
     notices
         What was decided about the recording, and doubts.
+    latency_s
+        Longest time from a frame coming in to its packet going out, see `Encoder`; None of a file.
     """
 
     reports: tuple[FrameReport, ...]
@@ -51,6 +53,7 @@ class EncodeReport(Sequence[FrameReport]):
     voxel_size_m: float
     digest: bytes
     notices: tuple[Notice, ...] = ()
+    latency_s: float | None = None
 
     @property
     def frames(self) -> int:
@@ -153,4 +156,5 @@ def encode(
         voxel_size_m=encoder.scene.objects[0].evidence.voxel_size_m,
         digest=digest,
         notices=notices,
+        latency_s=encoder.latency_s,
     )

@@ -134,6 +134,7 @@ class TestEncode:
             "duration_s": 0.2,
             "kbit_s": 200.0,
             "seconds": 2.0,
+            "latency_s": None,
             "voxel_size_m": 0.016,
             "lost_frames": [3],
             "digest": "00ff",
@@ -150,6 +151,10 @@ class TestEncode:
         ("arguments", "message"),
         [
             (["missing"], "missing: no such folder; give the folder of an RGB-D recording"),
+            (
+                ["{recording}", "--preset", "live", "--latency", "20s"],
+                "a latency of 20 s must be within 0.1..10 s; try 1s",
+            ),
             (["{recording}", "--voxel-size", "5m"], "voxel size 5.0 m is not within 0.0005..1.0 m; try 16mm"),
             (
                 ["{recording}", "--frames", "3:3:1"],

@@ -93,6 +93,17 @@ def test_live_streams_have_no_depth_video(place: Path) -> None:
     assert not (place / "no.3dvc").exists()
 
 
+def test_latency_is_of_live_streams(place: Path, tmp_path: Path) -> None:
+    refused = CliRunner().invoke(main, ["encode", str(place / "toys"), str(place / "no.3dvc"), "--latency", "500ms"])
+    assert refused.exit_code == 2
+    assert "--latency is for live streams; add --preset live, or leave it out" in refused.stderr
+    options = ["--preset", "live", "--latency", "100ms", "--json"]
+    report = json.loads(run("encode", place / "toys", tmp_path / "live.3dvc", *options).stdout)
+    assert 0.1 <= report["latency_s"] < report["seconds"] + 0.2
+    batches = json.loads(run("stats", tmp_path / "live.3dvc", "--json").stdout)["packets"]["BATCH"]["count"]
+    assert batches == -(-report["frames"] // 3)
+
+
 def test_live_streams_have_a_color_video(place: Path, tmp_path: Path) -> None:
     options = ["--color-video", "on", "--preset", "live", "--verify"]
     result = run("encode", place / "toys", tmp_path / "live.3dvc", *options)

@@ -47,6 +47,7 @@ class FakeEncoder:
             frames=FRAMES,
             duration_s=0.2,
             seconds=2.0,
+            latency_s=None,
             voxel_size_m=0.016,
             lost_frames=[3],
             digest=bytes.fromhex("00ff"),

@@ -188,6 +188,16 @@ def test_live_batches_come_while_frames_still_arrive() -> None:
     assert arrivals == [3, 5, 7, 7]
 
 
+@pytest.mark.parametrize(("latency_s", "frames"), [(0.1, 3), (0.13, 3), (0.2, 6)])
+def test_live_no_frame_waits_longer_than_the_latency(latency_s: float, frames: int) -> None:
+    sequence = scene("room")
+    encoder = Encoder(sequence.info, config(causal=True, batch_frames=None, latency_s=latency_s))
+    batches = [each.header for each in encoder.packets(iter(sequence)) if each.type == PacketType.BATCH]
+    assert {header["n"] for header in batches[:-1]} <= {frames}
+    assert encoder.latency_s is not None
+    assert encoder.latency_s >= (frames if len(batches) > 1 else len(sequence) - 1) / sequence.info.fps - 1e-6
+
+
 def test_live_and_file_encoding_arrive_at_nearly_the_same_cells() -> None:
     models = [decoded(stream("room", causal=causal)[1])[0].models[0] for causal in (False, True)]
     cells = [model.cells()[0] for model in models]

@@ -37,6 +37,9 @@ MIN_BPS = 500
 MIN_LIVE_BPS = 8000
 """A kilobyte a second, of which 30 frames without surfaces take some 270 bytes (`rate_control.FRAME_BYTES`)."""
 
+MIN_LATENCY_S, MAX_LATENCY_S = 0.1, 10.0
+"""Three frames at 30 frames/s, the fewest of which a run of pictures predicts some, to a group of a file's video."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderConfig:
@@ -76,8 +79,10 @@ class EncoderConfig:
         See `ColorVideo` and `VideoConfig`.
     causal
         Send each group as soon as it is fused (live); otherwise fuse everything first.
+    latency_s
+        How long the first frame of a live stream's group waits for the others: the longer, the fewer bytes.
     batch_frames
-        Frames whose packets are written together, or None for one second's worth live and two of a file.
+        Frames whose packets are written together, or None for `latency_s` live and two seconds of a file.
     threads
         Number of threads; the stream does not depend on it.
     """
@@ -103,6 +108,7 @@ class EncoderConfig:
     color_video: ColorVideo = ColorVideo.AUTO
     video: VideoConfig = field(default_factory=partial(VideoConfig, min_psnr_db=MIDDLE_PSNR_DB))
     causal: bool = False
+    latency_s: float = 1.0
     batch_frames: int | None = None
     threads: int = field(default_factory=default_threads)
 
@@ -120,6 +126,10 @@ class EncoderConfig:
             raise ConfigError(f"a rate of {self.bitrate_bps:g} bit/s is too low; give at least {minimum / 1000:g}k")
         if not 0.1 <= self.live_buffer_s <= 60:
             raise ConfigError(f"a buffer of {self.live_buffer_s} s must be within 0.1..60 s")
+        if not MIN_LATENCY_S <= self.latency_s <= MAX_LATENCY_S:
+            raise ConfigError(
+                f"a latency of {self.latency_s:g} s must be within {MIN_LATENCY_S:g}..{MAX_LATENCY_S:g} s; try 1s"
+            )
         if not 0 < self.depth_weight <= MAX_DEPTH_WEIGHT:
             raise ConfigError(
                 f"weight {self.depth_weight:g} of depth must be more than 0 and at most {MAX_DEPTH_WEIGHT:g}"

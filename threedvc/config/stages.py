@@ -39,7 +39,7 @@ MIN_CRF, MAX_COARSENESS, MIDDLE_COARSENESS = 1.0, 82.75, 56.0
 of the middle quality, at which recordings of hand-held cameras have 33 dB and more."""
 MIDDLE_PSNR_DB = 29.3
 """PSNR that a video of the middle quality has at least, on noisy recordings, too: what looks right at first sight."""
-VIDEO_PRESETS = {"live": 9, "fast": 7, "medium": 4, "slow": 2}
+VIDEO_PRESETS = {"live": 7, "fast": 7, "medium": 4, "slow": 2}
 """Of SVT-AV1, by preset. Measured on the kitchen: 4 takes 0.09 s a picture, 2 takes 2.5 times as long for 7 % fewer
 bytes."""
 

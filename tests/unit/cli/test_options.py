@@ -13,6 +13,7 @@ import pytest
 
 from threedvc.cli.options import (
     decoded_outputs,
+    duration,
     focus,
     frame_range,
     frame_span,
@@ -40,6 +41,10 @@ FOCUS_FORM = "{!r} is not OBJECT=WEIGHT or X0..X1,Y0..Y1,Z0..Z1=WEIGHT, such as 
         (length, ".5", 0.5),
         (length, "2", 2.0),
         (length, "0mm", 0.0),
+        (duration, "100ms", 0.1),
+        (duration, "2s", 2.0),
+        (duration, ".5 s", 0.5),
+        (duration, "1", 1.0),
         (positive_number, "5e3", 5000.0),
         (frame_range, "0:100", (0, 100, None)),
         (frame_range, ":", (None, None, None)),

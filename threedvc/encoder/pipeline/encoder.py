@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sized
 from math import inf
+from time import perf_counter
 from typing import cast
 
 from threedvc.coding.video.av1 import can_encode_av1
@@ -51,12 +52,16 @@ class Encoder:
     ----------
     state
         Choices, objects, evidence, poses and reports, as of the frames or passes so far.
+    latency_s
+        Longest time of a live stream so far from a frame coming in to its packet going out: until the last of its
+        batch had come, by their time stamps, and what coding took then; None before the first batch.
     """
 
     def __init__(self, info: SequenceInfo, config: EncoderConfig | None = None) -> None:
         config = config or EncoderConfig()
         self._info = info
         self.state = Reconstruction(config=config, scene=Scene(info, config), reports=[])
+        self.latency_s: float | None = None
         self._batch_frames = batch_length(info, config)
 
     @property
@@ -145,25 +150,29 @@ class Encoder:
         packetizer: Packetizer | None = None
         sent = 0
 
-        def due(*, last: bool) -> Iterator[Packet]:
+        def due(now_ns: int, *, last: bool) -> Iterator[Packet]:
             nonlocal packetizer, video, sent
+            began = perf_counter()
             if packetizer is None:
                 video = self._live_video(video)
                 packetizer = new_packetizer(self.state, StreamChoices(config=self.config), live_video=video)
                 yield from packetizer.stream_headers()
             count = len(self.reports) - sent  # whole moments: sensors may take more frames than a batch has
-            yield from batches(packetizer, self.state, sent, count, last=last)
+            coded = list(batches(packetizer, self.state, sent, count, last=last))
+            waited_s = (now_ns - self.scene.records[sent].timestamp_ns) / 1e9 if count else 0.0
+            self.latency_s = max(self.latency_s or 0.0, waited_s + perf_counter() - began)
+            yield from coded
             sent += count
             if last:
                 yield packetizer.end()
 
         for frame_set in frame_sets(frames, self._info):
             if len(self.reports) - sent >= self._batch_frames:
-                yield from due(last=False)
+                yield from due(frame_set[0].timestamp_ns, last=False)
             self.reports.extend(reporter.fuse(self.scene, frame_set))
             if video is not None:
                 video.keep(frame_set)
-        yield from due(last=True)
+        yield from due(self.scene.records[-1].timestamp_ns if self.reports else 0, last=True)
 
     def _live_video(self, video: LiveColorVideo | None) -> LiveColorVideo | None:
         """Return the color video of a stream that begins with the frames so far; None if models leave it too little."""

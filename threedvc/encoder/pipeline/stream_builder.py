@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import floor
 
 from threedvc.config import EncoderConfig
 from threedvc.encoder.appearance.appearance_fit import FittedAppearance
@@ -20,9 +21,8 @@ from threedvc.stream.packets import Packet
 
 __all__ = ["StreamBuilder", "StreamChoices", "batch_length", "batches", "new_packetizer"]
 
-FILE_BATCH_S, LIVE_BATCH_S = 2, 1
-"""Seconds of a batch: of a file, where longer ones pack better and seeking stays quick; of a live stream, where a
-viewer waits for them."""
+FILE_BATCH_S = 2.0
+"""Seconds of a batch of a file: longer ones pack better, and seeking stays quick."""
 VIDEO_BATCH_S = 10
 """Seconds of a batch with a color video: a picture that is not predicted takes as much as twenty others. Against two
 seconds, 10 % fewer bytes on the kitchen (decision 0030)."""
@@ -30,6 +30,8 @@ MAX_VIDEO_BATCH_PIXELS, MAX_FINE_BATCH_PIXELS = 1 << 27, 1 << 25
 """Pixels of such a batch: of 4 bits each, and of fine ones 16, they do not exceed a payload (`MAX_PAYLOAD_BYTES`)."""
 FINE_COARSENESS = 30.0
 """Coarseness below which pictures may have more than 4 bits a pixel; at it a noisy camera has 2 with full chroma."""
+EXACT_FRAMES = 1e-6
+"""Part of a frame that rounding may take off a latency of whole frames."""
 MAX_BATCH_BYTES = MAX_PAYLOAD_BYTES // 2
 """Of a batch at a rate; some take more than others."""
 MAX_LOSSLESS_BATCH_PIXELS = 1 << 24
@@ -87,8 +89,10 @@ def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = Fal
     """Return the frames of a batch; `video` tells whether colors are a video."""
     if config.batch_frames is not None:
         return config.batch_frames
+    if config.causal:
+        return max(1, floor(config.latency_s * info.fps + EXACT_FRAMES))
     if not video:
-        return max(1, round((LIVE_BATCH_S if config.causal else FILE_BATCH_S) * info.fps))
+        return max(1, round(FILE_BATCH_S * info.fps))
     pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
     most: float = MAX_FINE_BATCH_PIXELS if config.video.coarseness < FINE_COARSENESS else MAX_VIDEO_BATCH_PIXELS
     if config.video.lossless:
