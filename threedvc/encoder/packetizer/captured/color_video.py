@@ -171,6 +171,14 @@ class ColorVideoWriter:
         self.coded: dict[VideoChoice, list[Packet]] = {}
         self.sizes: dict[VideoChoice, int] = {}
 
+    @property
+    def pixels(self) -> int:
+        """Number of pixels of all pictures, as filmed."""
+        cameras = [self._scene.info.rigs[run.sensor].color for run in self._runs]
+        return sum(
+            len(run.frames) * camera.width * camera.height for run, camera in zip(self._runs, cameras, strict=True)
+        )
+
     def packets(self, choice: VideoChoice) -> list[Packet]:
         """Return the COLOR_VIDEO packets of a choice, in the order of their frames."""
         if choice not in self.coded:

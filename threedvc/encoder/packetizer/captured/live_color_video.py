@@ -30,6 +30,9 @@ AIM = 0.95
 MAX_TRIALS, ENOUGH = 3, 0.85
 """Videos of a batch that are coded on the way to its bytes, as frames do not wait; more, where none has this share of
 them: sizes leap where pictures get another scale. If none fits, the coarsest is coded."""
+FIRST_COARSENESS, FIRST_BYTES_PER_PIXEL, COARSENESS_PER_OCTAVE = 72.0, 4.5e-4, 3.5
+"""A coarseness, what it takes about, and by how much it falls for twice the bytes a pixel: kitchen300 and two_toys at
+640x480, and room_orbit, 320x240, at 48 kbit/s. A fine first trial would take longer than all others."""
 MIN_KNOWN = 2
 """Sizes by which that of another coarseness is guessed."""
 COARSEST = VideoChoice(MAX_COARSENESS)
@@ -80,7 +83,8 @@ class LiveColorVideo:
 
     def _within(self, writer: ColorVideoWriter, budget_bytes: float) -> list[Packet]:
         aim = AIM * budget_bytes
-        first = self._choice._replace(coarseness=self._sizes.coarseness_of(aim, self._choice.coarseness))
+        otherwise = self._choice.coarseness if self._sizes else _first_coarseness(aim / writer.pixels)
+        first = self._choice._replace(coarseness=self._sizes.coarseness_of(aim, otherwise))
         self._choice = writer.choice_within(aim, first, MAX_TRIALS, ENOUGH)
         self._sizes.learn({choice.coarseness: size for choice, size in writer.sizes.items()})
         for choice in (self._choice, COARSEST):
@@ -113,11 +117,20 @@ class LiveColorVideo:
         return ColorVideoWriter(self._scene, dict(self._frames), [range(batch.first, batch.stop)])
 
 
+def _first_coarseness(bytes_per_pixel: float) -> float:
+    """Return a coarseness, in quarters, to begin with, of which pictures may take about so many bytes a pixel."""
+    coarseness = FIRST_COARSENESS - COARSENESS_PER_OCTAVE * np.log2(bytes_per_pixel / FIRST_BYTES_PER_PIXEL)
+    return float(np.clip(np.round(QUARTERS * coarseness) / QUARTERS, MIN_CRF, MAX_COARSENESS))
+
+
 class _LikelySizes:
     """What batches take at a coarseness, as far as the last ones tell."""
 
     def __init__(self) -> None:
         self._sizes: dict[float, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._sizes)
 
     def learn(self, sizes: Mapping[float, int]) -> None:
         """Take in sizes of a batch by coarseness; older ones stay that do not contradict them."""
