@@ -86,13 +86,20 @@ def new_packetizer(
 
 
 def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = False) -> int:
-    """Return the frames of a batch; `video` tells whether colors are a video."""
+    """Return the frames of a batch; `video` tells whether colors are a video, as those of a live stream may be."""
     if config.batch_frames is not None:
         return config.batch_frames
     if config.causal:
-        return max(1, floor(config.latency_s * info.fps + EXACT_FRAMES))
-    if not video:
+        wanted = floor(config.latency_s * info.fps + EXACT_FRAMES)
+    elif video:
+        wanted = round(VIDEO_BATCH_S * info.fps)
+    else:
         return max(1, round(FILE_BATCH_S * info.fps))
+    return max(1, min(wanted, _max_video_frames(info, config)))
+
+
+def _max_video_frames(info: SequenceInfo, config: EncoderConfig) -> int:
+    """Return how many frames of a video a payload surely holds."""
     pixels = max(rig.color.width * rig.color.height for rig in info.rigs)
     most: float = MAX_FINE_BATCH_PIXELS if config.video.coarseness < FINE_COARSENESS else MAX_VIDEO_BATCH_PIXELS
     if config.video.lossless:
@@ -100,7 +107,7 @@ def batch_length(info: SequenceInfo, config: EncoderConfig, *, video: bool = Fal
     most = most // pixels
     if config.bitrate_bps is not None:
         most = min(MAX_VIDEO_BATCH_PIXELS // pixels, 8 * MAX_BATCH_BYTES * info.fps / config.bitrate_bps)
-    return max(1, min(round(VIDEO_BATCH_S * info.fps), int(most)))
+    return int(most)
 
 
 def batches(

@@ -36,7 +36,7 @@ __all__ = ["Scene"]
 
 DOUBTED_LUMA = 0.1
 """Weight of luma against depth as long as nothing confirms that both cameras are registered as the input says: a color
-camera with another focal length shows other motions (decision 0017)."""
+camera with another focal length shows other motions (decisions 0017, 0040)."""
 MIN_PATIENCE = 5
 """Frames, if a second has fewer, for which an object may be lost before a new part of its model begins."""
 

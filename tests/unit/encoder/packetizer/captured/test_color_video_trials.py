@@ -171,6 +171,10 @@ def test_only_the_last_choices_are_kept(frames: FrameSequence) -> None:
         (with_quality(EncoderConfig(), 95), (1 << 25) // (640 * 480)),
         (EncoderConfig(bitrate_bps=20e6), 300),
         (EncoderConfig(bitrate_bps=100e6), 80),
+        (EncoderConfig(causal=True), 30),
+        (EncoderConfig(causal=True, latency_s=10), 300),
+        (with_quality(EncoderConfig(causal=True, latency_s=10), 95), (1 << 25) // (640 * 480)),
+        (EncoderConfig(causal=True, latency_s=10, bitrate_bps=100e6), 80),
     ],
 )
 def test_batches_of_much_data_are_short(frames: FrameSequence, config: EncoderConfig, most: int) -> None:
